@@ -1,0 +1,32 @@
+"""Planner: both papers' gaits as functions of time, and what they take of a robot. Knows nothing of scenarios."""
+
+from jaxbiped.planner import polynomial, support
+from jaxbiped.planner.checks import GaitError
+from jaxbiped.planner.cosine_gait import CosineGait, CosineParams
+from jaxbiped.planner.feasibility import Feasibility, feasibility, sample_times
+from jaxbiped.planner.polynomial_gait import PolynomialGait, PolynomialParams, StartStop
+from jaxbiped.planner.presets import cosine_params, polynomial_params
+from jaxbiped.planner.targets import DOUBLE_SUPPORT, SINGLE_SUPPORT, Gait, Phase, Targets, TaskSpace, at
+
+__all__ = [
+    "DOUBLE_SUPPORT",
+    "SINGLE_SUPPORT",
+    "CosineGait",
+    "CosineParams",
+    "Feasibility",
+    "Gait",
+    "GaitError",
+    "Phase",
+    "PolynomialGait",
+    "PolynomialParams",
+    "StartStop",
+    "Targets",
+    "TaskSpace",
+    "at",
+    "cosine_params",
+    "feasibility",
+    "polynomial",
+    "polynomial_params",
+    "sample_times",
+    "support",
+]

@@ -1,0 +1,52 @@
+"""Refusing gait parameters that cannot be walked, when their values are known (not while being traced)."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
+from jaxbiped.planner.targets import Gait
+from jaxbiped.robot import SIDE_NAMES, RobotParams
+
+
+class GaitError(ValueError):
+    """Gait parameters that cannot be walked: says which, what was got and what is allowed."""
+
+
+def is_concrete(*trees: Any) -> bool:
+    """Whether every leaf has a known value: false under jit, vmap or differentiation."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def require(name: str, value: Any, allowed: str, *conditions: bool, unit: str = "s") -> None:
+    """Raise a GaitError unless the value is finite and all conditions hold."""
+    if not (np.isfinite(value) and all(conditions)):
+        raise GaitError(f"{name}: got {float(value):g} {unit}, allowed: {allowed}")
+
+
+def require_reach(robot: RobotParams, gait: Gait, samples: int = 400) -> None:
+    """Raise a GaitError if a foot target of the gait lies beyond the leg's reach or joint ranges."""
+    times = jnp.linspace(0.0, gait.duration, samples)
+    status = np.asarray(_statuses(robot, gait, times))
+    for i, side in _failures(status):
+        word = STATUS_TEXT[status[i, side]]
+        raise GaitError(
+            f"gait: got a {SIDE_NAMES[side]} foot {word} at t = {float(times[i]):.3f} s of {float(gait.duration):.3f} s "
+            f"on robot {robot.name!r}, allowed: every foot position within reach and joint range"
+        )
+
+
+def _failures(status: np.ndarray) -> Iterable[tuple[int, int]]:
+    return ((int(i), int(side)) for i, side in np.argwhere(status != OK))
+
+
+@jax.jit
+def _statuses(robot: RobotParams, gait: Any, times: Any) -> Any:
+    def one(t: Any) -> Any:
+        task = gait.task(t)
+        return joint_angles(robot, task.sole - task.pelvis)[1]
+
+    return jax.vmap(one)(times)

@@ -1,0 +1,162 @@
+"""The cosine gait of El-Kahlout's thesis, Eqs. 3.1-3.6, set into the world and given a start from and a stop to rest.
+
+The thesis writes the feet in the body frame. Its stance foot is what stands still in the world, which says where the
+body is: it advances 2 b_s in every single support and sways by w sin(pi t / (t_ss + t_ds)). Time runs
+
+    0 .. T_ini     the robot stands with its feet b_s ahead and behind; a quintic brings the sway up to speed
+    T_ini ..       the thesis' time t: half a double support, then steps of t_ss + t_ds
+    .. duration    a quintic brings the sway to rest in T_end
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbiped.planner.checks import GaitError, is_concrete, require, require_reach
+from jaxbiped.planner.polynomial import Polynomial, quintic
+from jaxbiped.planner.targets import Phase, TaskSpace, step_phase
+from jaxbiped.robot import LEFT, RIGHT, RobotParams
+
+Scalar = Float[Array, ""]
+
+
+def _scalar(value: float | Scalar) -> Scalar:
+    return jnp.asarray(value, jnp.result_type(float))
+
+
+class CosineParams(eqx.Module):
+    """Parameters of the cosine gait, by the thesis' symbols (section 3.2)."""
+
+    t_ss: Scalar = eqx.field(converter=_scalar)
+    """Duration of single support [s]."""
+    t_ds: Scalar = eqx.field(converter=_scalar)
+    """Duration of double support [s]."""
+    b_s: Scalar = eqx.field(converter=_scalar)
+    """Half the step length: how far a foot goes ahead of and behind x_ref [m]."""
+    w: Scalar = eqx.field(converter=_scalar)
+    """Amplitude of the lateral sway [m]."""
+    w_of: Scalar = eqx.field(converter=_scalar)
+    """Half the lateral distance between the feet [m]."""
+    h_b: Scalar = eqx.field(converter=_scalar)
+    """Height of the body frame over the soles [m]."""
+    h_s: Scalar = eqx.field(converter=_scalar)
+    """Greatest height of the swing foot [m]."""
+    x_ref: Scalar = eqx.field(converter=_scalar)
+    """Middle of the feet in the body frame, sagittal (x_ref_as) [m]."""
+    y_ref: Scalar = eqx.field(converter=_scalar)
+    """The same, lateral (y_ref_as) [m]."""
+    T_ini: Scalar = eqx.field(converter=_scalar)
+    """From rest to t = 0 of the thesis [s]."""
+    T_end: Scalar = eqx.field(converter=_scalar)
+    """From the middle of the last double support to rest [s]."""
+
+    @property
+    def T_c(self) -> Scalar:
+        """Duration of a step [s]."""
+        return self.t_ss + self.t_ds
+
+
+class CosineGait(eqx.Module):
+    """A planned cosine walk of `n_steps` steps; build it with `make`."""
+
+    params: CosineParams
+    """What it was made from."""
+    n_steps: int = eqx.field(static=True)
+    """Number of steps."""
+    first_swing: int = eqx.field(static=True)
+    """The foot that swings first, 0 left (as in the thesis) or 1 right."""
+    sway_in: Polynomial
+    """Lateral pelvis position from rest [m]."""
+    sway_out: Polynomial
+    """Lateral pelvis position to rest [m]."""
+
+    @classmethod
+    def preset(cls, robot: RobotParams, n_steps: int = 8, first_swing: int = LEFT) -> "CosineGait":
+        """Plan a walk with the preset parameters of a known robot."""
+        from jaxbiped.planner.presets import cosine_params
+
+        return cls.make(robot, cosine_params(robot.name), n_steps, first_swing)
+
+    @classmethod
+    def make(cls, robot: RobotParams, params: CosineParams, n_steps: int, first_swing: int = LEFT) -> "CosineGait":
+        """Plan a walk.
+
+        Raises:
+            GaitError: if the parameters cannot be walked by this robot (only where their values are known).
+        """
+        if not (isinstance(n_steps, int) and n_steps >= 1):
+            raise GaitError(f"n_steps: got {n_steps!r}, allowed: a whole number >= 1")
+        if first_swing not in (LEFT, RIGHT):
+            raise GaitError(f"first_swing: got {first_swing!r}, allowed: {LEFT} (left) or {RIGHT} (right)")
+        known = is_concrete(params, robot)
+        if known:
+            _require_sane(robot, params)
+        gait = _plan(params, n_steps, first_swing)
+        if known:
+            require_reach(robot, gait)
+        return gait
+
+    @property
+    def duration(self) -> Scalar:
+        """From rest to rest [s]."""
+        p = self.params
+        return p.T_ini + self.n_steps * p.T_c + p.T_end
+
+    def task(self, t: Scalar) -> TaskSpace:
+        """Soles and pelvis in the world at time t [s]; sole minus pelvis is (X, Y, Z) of elkahlout Eqs. 3.1-3.6."""
+        p, phase = self.params, self.phase(t)
+        angle = jnp.pi * jnp.clip(phase.time_since_liftoff, 0.0, p.t_ss) / p.t_ss
+        middle = (2 * phase.step + 1) * p.b_s
+        stance_foot = [middle + p.x_ref, jnp.zeros_like(t)]
+        swing_foot = [middle + p.x_ref - 2.0 * p.b_s * jnp.cos(angle), 0.5 * p.h_s * (1.0 - jnp.cos(2.0 * angle))]
+        soles = []
+        for side, y in ((LEFT, p.w_of), (RIGHT, -p.w_of)):
+            x, z = (jnp.where(phase.swing == side, a, b) for a, b in zip(swing_foot, stance_foot, strict=True))
+            soles.append(jnp.stack([x, y, z]))
+        pelvis = jnp.stack([middle - p.b_s * jnp.cos(angle), self._sway(t) - p.y_ref, p.h_b])
+        return TaskSpace(jnp.stack(soles), pelvis)
+
+    def phase(self, t: Scalar) -> Phase:
+        """Phase of the walk at time t [s]."""
+        p = self.params
+        return step_phase(t, p.T_ini + 0.5 * p.t_ds, p.t_ss, p.T_c, self.n_steps, self.first_swing)
+
+    def _sway(self, t: Scalar) -> Scalar:
+        p = self.params
+        stop = p.T_ini + self.n_steps * p.T_c
+        walking = _towards_stance(self.first_swing) * p.w * jnp.sin(jnp.pi * (t - p.T_ini) / p.T_c)
+        starting = self.sway_in(jnp.clip(t, 0.0, p.T_ini))
+        stopping = self.sway_out(jnp.clip(t, stop, self.duration))
+        return jnp.where(t < p.T_ini, starting, jnp.where(t < stop, walking, stopping))
+
+
+def _towards_stance(first_swing: int) -> float:
+    """Lateral direction of the foot that stands in the first step."""
+    return -1.0 if first_swing == LEFT else 1.0
+
+
+def _require_sane(robot: RobotParams, p: CosineParams) -> None:
+    for name in ("t_ss", "t_ds", "T_ini", "T_end"):
+        require(name, getattr(p, name), "> 0 s", getattr(p, name) > 0.0)
+    require("b_s", p.b_s, ">= 0 m", p.b_s >= 0.0, unit="m")
+    require("h_s", p.h_s, "> 0 m (the swing foot must not go below the ground)", p.h_s > 0.0, unit="m")
+    require("h_b", p.h_b, "> 0 m", p.h_b > 0.0, unit="m")
+    inner = 0.5 * float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
+    require("w_of", p.w_of, f"> {inner:g} m (the soles must not overlap)", p.w_of > inner, unit="m")
+    for name in ("w", "x_ref", "y_ref"):
+        require(name, getattr(p, name), "a finite number", unit="m")
+
+
+@eqx.filter_jit
+def _plan(p: CosineParams, n_steps: int, first_swing: int) -> CosineGait:
+    speed = _towards_stance(first_swing) * p.w * jnp.pi / p.T_c
+    last_speed = speed if n_steps % 2 == 0 else -speed
+    stop = p.T_ini + n_steps * p.T_c
+    rest, moving = (0.0, 0.0, 0.0), (0.0, speed, 0.0)
+    return CosineGait(
+        params=p,
+        n_steps=n_steps,
+        first_swing=first_swing,
+        sway_in=quintic(0.0, p.T_ini, rest, moving),
+        sway_out=quintic(stop, stop + p.T_end, (0.0, last_speed, 0.0), rest),
+    )

@@ -1,0 +1,128 @@
+"""Can this robot walk this plan? ZMP, friction, torque, speed and knee of the full multibody model (khadiv sec. 2.2)."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxbiped.kinematics import Motion, MotionState, Wrench, body, dynamics, joint_angles
+from jaxbiped.planner import support
+from jaxbiped.planner.targets import DOUBLE_SUPPORT, Gait, Phase, TaskSpace
+from jaxbiped.robot import KNEE, RobotParams
+
+
+class Feasibility(eqx.Module):
+    """A plan at one instant (or, with a leading axis, at many)."""
+
+    time: Float[Array, "*n"]
+    """[s]"""
+    zmp: Float[Array, "*n 2"]
+    """Zero moment point on the ground, world x and y [m]."""
+    zmp_margin: Float[Array, "*n"]
+    """Distance of the ZMP from the edge of the support polygon, negative outside [m]."""
+    support_lower: Float[Array, "*n 2"]
+    """Lower corner of the support polygon's bounding box [m]."""
+    support_upper: Float[Array, "*n 2"]
+    """Upper corner of the support polygon's bounding box [m]."""
+    com: Float[Array, "*n 3"]
+    """Centre of mass, world [m]."""
+    ground_force: Float[Array, "*n 3"]
+    """Total force the ground must give [N]."""
+    angle: Float[Array, "*n 2 6"]
+    """Joint angles [rad]."""
+    speed: Float[Array, "*n 2 6"]
+    """Joint speeds [rad/s]."""
+    torque: Float[Array, "*n 2 6"]
+    """Joint torques [N m]; in double support the feet share the ground wrench by the ZMP."""
+    torque_share: Float[Array, "*n"]
+    """Largest joint torque over its limit."""
+    speed_share: Float[Array, "*n"]
+    """Largest joint speed over its limit."""
+    ik_status: Int[Array, "*n 2"]
+    """Status of the inverse kinematics, each leg."""
+
+    @property
+    def friction(self) -> Float[Array, "*n"]:
+        """Friction coefficient the plan needs."""
+        horizontal = self.ground_force[..., :2]
+        return jnp.sqrt(jnp.sum(horizontal * horizontal, -1) + 1e-12) / self.ground_force[..., 2]
+
+    @property
+    def knee(self) -> Float[Array, "*n 2"]:
+        """Bend of each knee, the distance from the straight leg [rad]."""
+        return self.angle[..., KNEE]
+
+
+def motion_of(robot: RobotParams, task: Any) -> Motion:
+    """The motion of all links that follows a function of time -> TaskSpace, pelvis upright and soles level."""
+
+    def motion(t: Float[Array, ""]):
+        here: TaskSpace = task(t)
+        angle, _ = joint_angles(robot, here.sole - here.pelvis)
+        return body.pose(robot, here.pelvis, jnp.eye(3, dtype=angle.dtype), angle), angle
+
+    return motion
+
+
+def zmp_of(wrench: Wrench, height: Float[Array, ""] | float = 0.0) -> Float[Array, "2"]:
+    """Point (x, y) at `height` [m] about which the ground wrench has no horizontal moment [m]."""
+    (fx, fy, fz), (mx, my, _) = wrench.force, wrench.moment
+    return jnp.stack([(height * fx - my) / fz, (height * fy + mx) / fz])
+
+
+def share_between_feet(robot: RobotParams, task: TaskSpace, phase: Phase, wrench: Wrench) -> Wrench:
+    """Split the ground wrench between the feet by the place of the ZMP between their centres.
+
+    In single support the stance foot has it all. The two parts always add up to the whole; both feet press with the
+    same offset from their centres.
+    """
+    centre = task.sole[:, :2] + robot.p_sole_corner[:, :, :2].mean(axis=1)
+    zmp = zmp_of(wrench)
+    across = centre[0] - centre[1]
+    of_left = jnp.clip(jnp.dot(zmp - centre[1], across) / jnp.dot(across, across), 0.0, 1.0)
+    of_left = jnp.where(phase.support == DOUBLE_SUPPORT, of_left, phase.swing.astype(zmp.dtype))
+    share = jnp.stack([of_left, 1.0 - of_left])
+    point = centre + zmp - share @ centre
+    at = jnp.concatenate([point, jnp.zeros((2, 1), zmp.dtype)], axis=1)
+    force = share[:, None] * wrench.force
+    twist = wrench.moment[2] - (zmp[0] * wrench.force[1] - zmp[1] * wrench.force[0])
+    moment = jnp.cross(at, force).at[:, 2].add(share * twist)
+    return Wrench(force, moment)
+
+
+def instant(robot: RobotParams, gait: Gait, t: Float[Array, ""]) -> Feasibility:
+    """What a gait takes at time t [s]."""
+    state: MotionState = dynamics.evaluate(robot, motion_of(robot, gait.task), t)
+    task, phase, wrench = gait.task(t), gait.phase(t), state.ground_wrench
+    points, active = support.corners(robot, task), support.loaded(phase)
+    torque = dynamics.joint_torques(robot, state, share_between_feet(robot, task, phase, wrench))
+    lower, upper = support.box(points, active)
+    zmp = zmp_of(wrench)
+    return Feasibility(
+        time=t,
+        zmp=zmp,
+        zmp_margin=support.margin(points, active, zmp),
+        support_lower=lower,
+        support_upper=upper,
+        com=body.com(robot, state.body),
+        ground_force=wrench.force,
+        angle=state.angle,
+        speed=state.speed,
+        torque=torque,
+        torque_share=jnp.max(jnp.abs(torque) / robot.servo.torque_limit),
+        speed_share=jnp.max(jnp.abs(state.speed) / robot.servo.speed_limit),
+        ik_status=joint_angles(robot, task.sole - task.pelvis)[1],
+    )
+
+
+@eqx.filter_jit
+def feasibility(robot: RobotParams, gait: Any, times: Float[Array, " n"]) -> Feasibility:
+    """What a gait takes at many times [s]: the report, with a leading axis. Differentiable in robot and gait."""
+    return jax.vmap(lambda t: instant(robot, gait, t))(times)
+
+
+def sample_times(gait: Gait, n: int = 1000) -> Float[Array, " n"]:
+    """Times that cover a walk from rest to rest, shifted off the phase changes [s]."""
+    return (jnp.arange(n) + 0.5) / n * gait.duration

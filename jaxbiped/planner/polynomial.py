@@ -1,0 +1,175 @@
+"""Polynomials from boundary conditions, and piecewise polynomials of time.
+
+Conditions may stand at any times and on any derivative; coefficients are differentiable in times and values. Time is
+scaled to [-1, 1] over the conditions before the linear system is solved, which keeps it well conditioned in float32.
+"""
+
+from collections.abc import Sequence
+from math import factorial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Scalar = Float[Array, ""] | float
+
+
+class Polynomial(eqx.Module):
+    """A polynomial of time about `centre`, in the scaled time s = (t - centre) / scale."""
+
+    coefficients: Float[Array, "n"]
+    """Of s**0, s**1, ..."""
+    centre: Float[Array, ""]
+    """[s]"""
+    scale: Float[Array, ""]
+    """[s]"""
+
+    def __call__(self, t: Scalar) -> Float[Array, ""]:
+        """Value at time t [s]."""
+        return _horner(self.coefficients, (t - self.centre) / self.scale)
+
+    def derivative(self, t: Scalar, order: int = 1) -> Float[Array, ""]:
+        """Derivative of the given order at time t [s]."""
+        c = self.coefficients
+        for _ in range(order):
+            c = c[1:] * jnp.arange(1, c.shape[0], dtype=c.dtype)
+        return _horner(c, (t - self.centre) / self.scale) / self.scale**order
+
+
+def boundary_polynomial(times: Sequence[Scalar], orders: Sequence[int], values: Sequence[Scalar]) -> Polynomial:
+    """The polynomial of lowest degree with n given conditions: derivative `orders[i]` at `times[i]` is `values[i]`.
+
+    Args:
+        times: n times [s], at least two of them different.
+        orders: n derivative orders, 0 for the value.
+        values: n values, in units of the quantity per second**order.
+
+    Raises:
+        ValueError: if the three differ in length, or an order cannot be a condition on degree n - 1.
+    """
+    n = len(values)
+    if not len(times) == len(orders) == n:
+        raise ValueError(f"conditions: got {len(times)} times, {len(orders)} orders, {n} values, allowed: as many of each")
+    if any(order < 0 or order >= n for order in orders):
+        raise ValueError(f"orders: got {tuple(orders)}, allowed: 0 to {n - 1} with {n} conditions")
+    t = jnp.stack([jnp.asarray(time, jnp.result_type(float)) for time in times])
+    y = jnp.stack([jnp.asarray(value, t.dtype) for value in values])
+    centre, scale = 0.5 * (t.max() + t.min()), 0.5 * (t.max() - t.min())
+    rows = [_row((t[i] - centre) / scale, order, n) for i, order in enumerate(orders)]
+    scaled = y * scale ** jnp.asarray(orders, t.dtype)
+    return Polynomial(jnp.linalg.solve(jnp.stack(rows), scaled), centre, scale)
+
+
+def _row(s: Float[Array, ""], order: int, n: int) -> Float[Array, " n"]:
+    """The derivative of (1, s, s**2, ...) of the given order."""
+    entries = [
+        factorial(k) // factorial(k - order) * s ** (k - order) if k >= order else jnp.zeros_like(s) for k in range(n)
+    ]
+    return jnp.stack([jnp.asarray(entry, s.dtype) for entry in entries])
+
+
+def quintic(start: Scalar, end: Scalar, at_start: Sequence[Scalar], at_end: Sequence[Scalar]) -> Polynomial:
+    """Quintic from (position, velocity, acceleration) at time `start` to those at time `end`."""
+    return boundary_polynomial([start] * 3 + [end] * 3, (0, 1, 2) * 2, [*at_start, *at_end])
+
+
+class Term(NamedTuple):
+    """One summand of a condition: `factor` times the derivative `order` of piece number `piece` at time `time` [s]."""
+
+    piece: int
+    time: Scalar
+    order: int = 0
+    factor: float = 1.0
+
+
+def coupled_polynomials(
+    spans: Sequence[tuple[Scalar, Scalar]],
+    degrees: Sequence[int],
+    conditions: Sequence[tuple[Sequence[Term], Scalar]],
+) -> list[Polynomial]:
+    """Several polynomials from linear conditions that may couple them (continuity, periodicity).
+
+    Args:
+        spans: first and last time of every piece [s], used for scaling only.
+        degrees: degree of every piece.
+        conditions: as many as there are coefficients; each says that its terms sum up to its value.
+
+    Raises:
+        ValueError: if the conditions do not number the coefficients.
+    """
+    sizes = [degree + 1 for degree in degrees]
+    if len(conditions) != sum(sizes):
+        raise ValueError(f"conditions: got {len(conditions)}, allowed: {sum(sizes)}, one a coefficient")
+    centres = [0.5 * jnp.asarray(a + b, jnp.result_type(float)) for a, b in spans]
+    scales = [0.5 * jnp.asarray(b - a, jnp.result_type(float)) for a, b in spans]
+    offsets = [sum(sizes[:piece]) for piece in range(len(sizes))]
+    matrix = jnp.zeros((sum(sizes), sum(sizes)), jnp.result_type(float))
+    right = jnp.stack([jnp.asarray(value, matrix.dtype) for _, value in conditions])
+    for i, (terms, _) in enumerate(conditions):
+        for piece, time, order, factor in terms:
+            row = _row((time - centres[piece]) / scales[piece], order, sizes[piece]) / scales[piece] ** order
+            matrix = matrix.at[i, offsets[piece] : offsets[piece] + sizes[piece]].add(factor * row)
+    solution = jnp.linalg.solve(matrix, right)
+    split = jnp.split(solution, offsets[1:])
+    return [Polynomial(c, centre, scale) for c, centre, scale in zip(split, centres, scales, strict=True)]
+
+
+def _horner(coefficients: Float[Array, " n"], s: Scalar) -> Float[Array, ""]:
+    value = coefficients[-1]
+    for c in coefficients[-2::-1]:
+        value = value * s + c
+    return jnp.asarray(value)
+
+
+class PiecewisePolynomial(eqx.Module):
+    """Polynomials side by side; before the first and after the last the end value is held."""
+
+    breaks: Float[Array, "pieces+1"]
+    """Where pieces start and the last one ends, increasing [s]."""
+    coefficients: Float[Array, "pieces n"]
+    """Of powers of the scaled time of each piece."""
+    centre: Float[Array, "pieces"]
+    """[s]"""
+    scale: Float[Array, "pieces"]
+    """[s]"""
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        """Value at time t [s]."""
+        t = jnp.clip(t, self.breaks[0], self.breaks[-1])
+        piece = jnp.sum(t >= self.breaks[1:-1])
+        return _horner(self.coefficients[piece], (t - self.centre[piece]) / self.scale[piece])
+
+
+def join(pieces: Sequence[Polynomial], breaks: Float[Array, " m"]) -> PiecewisePolynomial:
+    """Put polynomials side by side; piece i holds from breaks[i] to breaks[i + 1] [s]."""
+    longest = max(piece.coefficients.shape[0] for piece in pieces)
+    padded = [jnp.pad(piece.coefficients, (0, longest - piece.coefficients.shape[0])) for piece in pieces]
+    return PiecewisePolynomial(
+        breaks=breaks,
+        coefficients=jnp.stack(padded),
+        centre=jnp.stack([piece.centre for piece in pieces]),
+        scale=jnp.stack([piece.scale for piece in pieces]),
+    )
+
+
+def spline_slopes(
+    knots: Float[Array, " m"], values: Float[Array, " m"], first: Scalar, last: Scalar
+) -> Float[Array, " m"]:
+    """Slopes at the knots of the cubic spline (C2) through `values` with given first and last slope."""
+    h = jnp.diff(knots)
+    secant = jnp.diff(values) / h
+    inner = jnp.arange(1, knots.shape[0] - 1)
+    matrix = jnp.eye(knots.shape[0], dtype=knots.dtype)
+    matrix = matrix.at[inner, inner - 1].set(1 / h[:-1])
+    matrix = matrix.at[inner, inner].set(2 / h[:-1] + 2 / h[1:])
+    matrix = matrix.at[inner, inner + 1].set(1 / h[1:])
+    ends = [jnp.asarray(end, knots.dtype)[None] for end in (first, last)]
+    right = jnp.concatenate([ends[0], 3 * (secant[:-1] / h[:-1] + secant[1:] / h[1:]), ends[1]])
+    return jnp.linalg.solve(matrix, right)
+
+
+def shift(polynomial: Polynomial, offset: Scalar, delay: Scalar, sign: Scalar = 1.0) -> Polynomial:
+    """The same curve, mirrored by `sign`, raised by `offset` and `delay` seconds later."""
+    coefficients = (polynomial.coefficients * sign).at[0].add(offset)
+    return Polynomial(coefficients, polynomial.centre + delay, polynomial.scale)

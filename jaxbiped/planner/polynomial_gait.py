@@ -1,0 +1,341 @@
+"""The polynomial gait of Khadiv et al., Eqs. 1-5, for any number of steps, from rest to rest.
+
+Steps are numbered from 0. Step k stands on the foot at x = k D_s while the other one swings from the foothold of step
+k - 1 to that of step k + 1; the first swing is half a stride, the last one ends beside the stance foot. Time runs
+
+    0 .. T_ini          pelvis moves from rest into the steady motion, both feet on the ground
+    T_ini + k T_c ..    step k: single support T_s, then double support T_d
+    .. duration         pelvis comes to rest in T_end after the last touchdown
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbiped.planner.checks import GaitError, is_concrete, require, require_reach
+from jaxbiped.planner.polynomial import (
+    PiecewisePolynomial,
+    Polynomial,
+    Term,
+    boundary_polynomial,
+    coupled_polynomials,
+    join,
+    quintic,
+    shift,
+    spline_slopes,
+)
+from jaxbiped.planner.targets import Phase, TaskSpace, step_phase
+from jaxbiped.robot import LEFT, RIGHT, SIDE_NAMES, RobotParams
+
+Scalar = Float[Array, ""]
+
+
+def _scalar(value: float | Scalar) -> Scalar:
+    return jnp.asarray(value, jnp.result_type(float))
+
+
+class StartStop(eqx.Module):
+    """Where the pelvis is at rest and in the first and last steps, sagittally, instead of x_s and x_e.
+
+    Offsets of the pelvis from the stance foot, with the signs of x_s (behind it, start of single support) and x_e
+    (ahead of it, end of single support).
+    """
+
+    x_rest_start: Scalar = eqx.field(converter=_scalar)
+    """Pelvis ahead of the feet at rest, before the walk [m]."""
+    x_s_first: Scalar = eqx.field(converter=_scalar)
+    """x_s of step 0 [m]."""
+    x_e_first: Scalar = eqx.field(converter=_scalar)
+    """x_e of step 0 [m]."""
+    x_s_second: Scalar = eqx.field(converter=_scalar)
+    """x_s of step 1 [m]."""
+    x_e_penultimate: Scalar = eqx.field(converter=_scalar)
+    """x_e of the last step but one [m]."""
+    x_s_last: Scalar = eqx.field(converter=_scalar)
+    """x_s of the last step [m]."""
+    x_e_last: Scalar = eqx.field(converter=_scalar)
+    """x_e of the last step [m]."""
+    x_rest_end: Scalar = eqx.field(converter=_scalar)
+    """Pelvis ahead of the feet at rest, after the walk [m]."""
+    v_first: Scalar = eqx.field(converter=_scalar)
+    """Pelvis velocity at the first lift-off [m/s]."""
+    v_last: Scalar = eqx.field(converter=_scalar)
+    """Pelvis velocity at the last touchdown [m/s]."""
+
+
+class PolynomialParams(eqx.Module):
+    """Parameters of the polynomial gait, by the paper's symbols."""
+
+    D_s: Scalar = eqx.field(converter=_scalar)
+    """Step length [m]."""
+    T_s: Scalar = eqx.field(converter=_scalar)
+    """Duration of single support [s]."""
+    T_d: Scalar = eqx.field(converter=_scalar)
+    """Duration of double support [s]."""
+    H_max: Scalar = eqx.field(converter=_scalar)
+    """Greatest height of the swing foot [m]."""
+    x_s: Scalar = eqx.field(converter=_scalar)
+    """Pelvis behind the stance foot at the start of single support [m]."""
+    x_e: Scalar = eqx.field(converter=_scalar)
+    """Pelvis ahead of the stance foot at the end of single support [m]."""
+    y_d: Scalar = eqx.field(converter=_scalar)
+    """Lateral distance between pelvis and stance foot at the start and end of single support [m]."""
+    y_m: Scalar = eqx.field(converter=_scalar)
+    """The same in the middle of single support, the smallest distance; negative beyond the stance foot [m]."""
+    z_max: Scalar = eqx.field(converter=_scalar)
+    """Greatest pelvis height over the ground, in the middle of single support [m]."""
+    z_min: Scalar = eqx.field(converter=_scalar)
+    """Smallest pelvis height over the ground, in the middle of double support [m]."""
+    L_p: Scalar = eqx.field(converter=_scalar)
+    """Lateral distance between the feet [m]."""
+    T_ini: Scalar = eqx.field(converter=_scalar)
+    """From rest to the first lift-off [s]."""
+    T_end: Scalar = eqx.field(converter=_scalar)
+    """From the last touchdown to rest [s]."""
+    start_stop: StartStop
+    """Sagittal start and stop."""
+
+    @property
+    def T_c(self) -> Scalar:
+        """Duration of a step [s]."""
+        return self.T_s + self.T_d
+
+
+def swing_x(p: PolynomialParams) -> Polynomial:
+    """Progress of the swing foot, 0 to 1 of its stride, over the time since lift-off [s] (khadiv Eq. 1)."""
+    return quintic(0.0, p.T_s, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+
+
+def swing_z(p: PolynomialParams) -> Polynomial:
+    """Height of the swing foot [m] over the time since lift-off [s] (khadiv Eq. 2)."""
+    times, orders = [0.0] * 3 + [0.5 * p.T_s] + [p.T_s] * 3, (0, 1, 2, 0, 0, 1, 2)
+    return boundary_polynomial(times, orders, (0.0, 0.0, 0.0, p.H_max, 0.0, 0.0, 0.0))
+
+
+def steady_pelvis_x(p: PolynomialParams) -> tuple[Polynomial, Polynomial]:
+    """Pelvis ahead of the stance foot [m] in single and double support over the time since lift-off (khadiv Eq. 3)."""
+    ssp, dsp = 0, 1
+    start, switch, end = 0.0, p.T_s, p.T_c
+    single, double = coupled_polynomials(
+        [(start, switch), (switch, end)],
+        (3, 3),
+        [
+            ([Term(ssp, start)], -p.x_s),
+            ([Term(ssp, switch)], p.x_e),
+            ([Term(dsp, switch)], p.x_e),
+            ([Term(dsp, end)], p.D_s - p.x_s),
+            *(([Term(ssp, switch, order), Term(dsp, switch, order, -1.0)], 0.0) for order in (1, 2)),
+            *(([Term(ssp, start, order), Term(dsp, end, order, -1.0)], 0.0) for order in (1, 2)),
+        ],
+    )
+    return single, double
+
+
+def steady_pelvis_y(p: PolynomialParams) -> tuple[Polynomial, Polynomial]:
+    """Lateral distance of the pelvis from the stance foot [m] in single and double support (khadiv Eq. 4).
+
+    The printed equation lacks y_DSP(T_c) = L_p - y_d; the next step mirrors this one, whence the plus signs.
+    """
+    ssp, dsp = 0, 1
+    start, switch, end = 0.0, p.T_s, p.T_c
+    single, double = coupled_polynomials(
+        [(start, switch), (switch, end)],
+        (4, 3),
+        [
+            ([Term(ssp, start)], p.y_d),
+            ([Term(ssp, 0.5 * p.T_s)], p.y_m),
+            ([Term(ssp, switch)], p.y_d),
+            ([Term(dsp, switch)], p.y_d),
+            ([Term(dsp, end)], p.L_p - p.y_d),
+            *(([Term(ssp, switch, order), Term(dsp, switch, order, -1.0)], 0.0) for order in (1, 2)),
+            *(([Term(ssp, start, order), Term(dsp, end, order)], 0.0) for order in (1, 2)),
+        ],
+    )
+    return single, double
+
+
+def steady_pelvis_z(p: PolynomialParams) -> tuple[Polynomial, Polynomial]:
+    """Pelvis height [m] falling from mid single support and rising from mid double support (khadiv Eq. 5).
+
+    The printed conditions do not fix the cubics; zero slope at both knots does, and makes them C2.
+    """
+    middle_single, middle_double = 0.5 * p.T_s, p.T_s + 0.5 * p.T_d
+    falling = ([middle_single] * 2 + [middle_double] * 2, (0, 1, 0, 1), (p.z_max, 0.0, p.z_min, 0.0))
+    rising = ([middle_double] * 2 + [middle_single + p.T_c] * 2, (0, 1, 0, 1), (p.z_min, 0.0, p.z_max, 0.0))
+    return boundary_polynomial(*falling), boundary_polynomial(*rising)
+
+
+class PolynomialGait(eqx.Module):
+    """A planned polynomial walk of `n_steps` steps; build it with `make`."""
+
+    params: PolynomialParams
+    """What it was made from."""
+    n_steps: int = eqx.field(static=True)
+    """Number of steps."""
+    first_swing: int = eqx.field(static=True)
+    """The foot that swings first, 0 left or 1 right."""
+    foot_x: Polynomial
+    """khadiv Eq. 1, as progress 0 to 1."""
+    foot_z: Polynomial
+    """khadiv Eq. 2."""
+    pelvis_x: PiecewisePolynomial
+    """Sagittal pelvis position in the world [m]."""
+    pelvis_y: PiecewisePolynomial
+    """Lateral pelvis position in the world [m]."""
+    pelvis_z: PiecewisePolynomial
+    """Pelvis height in the world [m]."""
+
+    @classmethod
+    def preset(cls, robot: RobotParams, n_steps: int = 8, first_swing: int = LEFT) -> "PolynomialGait":
+        """Plan a walk with the preset parameters of a known robot."""
+        from jaxbiped.planner.presets import polynomial_params
+
+        return cls.make(robot, polynomial_params(robot.name), n_steps, first_swing)
+
+    @classmethod
+    def make(
+        cls, robot: RobotParams, params: PolynomialParams, n_steps: int, first_swing: int = LEFT
+    ) -> "PolynomialGait":
+        """Plan a walk.
+
+        Raises:
+            GaitError: if the parameters cannot be walked by this robot (only where their values are known).
+        """
+        if not (isinstance(n_steps, int) and n_steps >= 1):
+            raise GaitError(f"n_steps: got {n_steps!r}, allowed: a whole number >= 1")
+        if first_swing not in (LEFT, RIGHT):
+            raise GaitError(f"first_swing: got {first_swing!r}, allowed: 0 ({SIDE_NAMES[0]}) or 1 ({SIDE_NAMES[1]})")
+        known = is_concrete(params, robot)
+        if known:
+            _require_sane(robot, params)
+        gait = _plan(params, n_steps, first_swing)
+        if known:
+            require_reach(robot, gait)
+        return gait
+
+    @property
+    def duration(self) -> Scalar:
+        """From rest to rest [s]."""
+        return self.pelvis_x.breaks[-1]
+
+    def task(self, t: Scalar) -> TaskSpace:
+        """Soles and pelvis in the world at time t [s]."""
+        p, phase = self.params, self.phase(t)
+        since_liftoff = jnp.clip(phase.time_since_liftoff, 0.0, p.T_s)
+        come_from = p.D_s * jnp.maximum(phase.step - 1, 0)
+        go_to = p.D_s * jnp.minimum(phase.step + 1, self.n_steps - 1)
+        swing_foot = [come_from + (go_to - come_from) * self.foot_x(since_liftoff), self.foot_z(since_liftoff)]
+        stance_foot = [p.D_s * phase.step, jnp.zeros_like(t)]
+        soles = []
+        for side, y in ((LEFT, 0.5 * p.L_p), (RIGHT, -0.5 * p.L_p)):
+            x, z = (jnp.where(phase.swing == side, a, b) for a, b in zip(swing_foot, stance_foot, strict=True))
+            soles.append(jnp.stack([x, y, z]))
+        return TaskSpace(jnp.stack(soles), jnp.stack([self.pelvis_x(t), self.pelvis_y(t), self.pelvis_z(t)]))
+
+    def phase(self, t: Scalar) -> Phase:
+        """Phase of the walk at time t [s]."""
+        p = self.params
+        return step_phase(t, p.T_ini, p.T_s, p.T_c, self.n_steps, self.first_swing)
+
+
+def _require_sane(robot: RobotParams, p: PolynomialParams) -> None:
+    for name in ("T_s", "T_d"):
+        require(name, getattr(p, name), "> 0 s", getattr(p, name) > 0.0)
+    for name in ("T_ini", "T_end"):
+        least = 0.5 * p.T_d
+        require(name, getattr(p, name), f">= T_d / 2 = {float(least):g} s", getattr(p, name) >= least)
+    require("D_s", p.D_s, ">= 0 m", p.D_s >= 0.0, unit="m")
+    require("H_max", p.H_max, "> 0 m (the swing foot must not go below the ground)", p.H_max > 0.0, unit="m")
+    require("z_min", p.z_min, "> 0 m", p.z_min > 0.0, unit="m")
+    require("z_max", p.z_max, f">= z_min = {float(p.z_min):g} m", p.z_max >= p.z_min, unit="m")
+    inner = float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
+    require("L_p", p.L_p, f"> {inner:g} m (the soles must not overlap)", p.L_p > inner, unit="m")
+    for name in ("x_s", "x_e", "y_d", "y_m"):
+        require(name, getattr(p, name), "a finite number", unit="m")
+    for name in StartStop.__dataclass_fields__:
+        require(f"start_stop.{name}", getattr(p.start_stop, name), "a finite number", unit="m or m/s")
+
+
+@eqx.filter_jit
+def _plan(p: PolynomialParams, n_steps: int, first_swing: int) -> PolynomialGait:
+    return PolynomialGait(
+        params=p,
+        n_steps=n_steps,
+        first_swing=first_swing,
+        foot_x=swing_x(p),
+        foot_z=swing_z(p),
+        pelvis_x=_walk_x(p, n_steps),
+        pelvis_y=_walk_y(p, n_steps, first_swing),
+        pelvis_z=_walk_z(p, n_steps),
+    )
+
+
+def _knots(p: PolynomialParams, n_steps: int) -> Float[Array, " 2*n_steps"]:
+    """Lift-off and touchdown of every step [s]."""
+    liftoff = p.T_ini + p.T_c * jnp.arange(n_steps)
+    return jnp.stack([liftoff, liftoff + p.T_s], axis=1).reshape(-1)
+
+
+def _breaks(p: PolynomialParams, n_steps: int) -> Float[Array, " 2*n_steps+2"]:
+    knots = _knots(p, n_steps)
+    return jnp.concatenate([jnp.zeros(1, knots.dtype), knots, (knots[-1] + p.T_end)[None]])
+
+
+def _walk_x(p: PolynomialParams, n_steps: int) -> PiecewisePolynomial:
+    """One C2 cubic spline through the pelvis' via points of all steps, and quintics from and to rest.
+
+    In the middle of a walk it is khadiv Eq. 3; the first and last steps have via points of their own, without which
+    the ZMP would leave the feet while the walk starts and stops.
+    """
+    ends, knots, breaks = p.start_stop, _knots(p, n_steps), _breaks(p, n_steps)
+    x_s = jnp.full(n_steps, p.x_s).at[1:2].set(ends.x_s_second).at[-1].set(ends.x_s_last).at[0].set(ends.x_s_first)
+    x_e = jnp.full(n_steps, p.x_e).at[-2:-1].set(ends.x_e_penultimate).at[0].set(ends.x_e_first)
+    x_e = x_e.at[-1].set(ends.x_e_last)
+    stance = p.D_s * jnp.arange(n_steps)
+    via = jnp.stack([stance - x_s, stance + x_e], axis=1).reshape(-1)
+    slope = spline_slopes(knots, via, ends.v_first, ends.v_last)
+    spline = [
+        boundary_polynomial(
+            [knots[i], knots[i], knots[i + 1], knots[i + 1]],
+            (0, 1, 0, 1),
+            [via[i], slope[i], via[i + 1], slope[i + 1]],
+        )
+        for i in range(2 * n_steps - 1)
+    ]
+    first = [spline[0].derivative(knots[0], order) for order in (0, 1, 2)]
+    last = [spline[-1].derivative(knots[-1], order) for order in (0, 1, 2)]
+    start = quintic(0.0, p.T_ini, (ends.x_rest_start, 0.0, 0.0), first)
+    stop = quintic(knots[-1], breaks[-1], last, (stance[-1] + ends.x_rest_end, 0.0, 0.0))
+    return join([start, *spline, stop], breaks)
+
+
+def _walk_y(p: PolynomialParams, n_steps: int, first_swing: int) -> PiecewisePolynomial:
+    """khadiv Eq. 4 from the first lift-off to the last touchdown, and quintics from and to the middle of the feet."""
+    breaks = _breaks(p, n_steps)
+    single, double = steady_pelvis_y(p)
+    steps = []
+    for k in range(n_steps):
+        towards_swing = 1.0 if (first_swing + k) % 2 == LEFT else -1.0
+        stance_y, delay = -towards_swing * 0.5 * p.L_p, p.T_ini + k * p.T_c
+        steps += [shift(piece, stance_y, delay, towards_swing) for piece in (single, double)]
+    steps = steps[:-1]
+    first = [steps[0].derivative(breaks[1], order) for order in (0, 1, 2)]
+    last = [steps[-1].derivative(breaks[-2], order) for order in (0, 1, 2)]
+    start = quintic(0.0, breaks[1], (0.0, 0.0, 0.0), first)
+    stop = quintic(breaks[-2], breaks[-1], last, (0.0, 0.0, 0.0))
+    return join([start, *steps, stop], breaks)
+
+
+def _walk_z(p: PolynomialParams, n_steps: int) -> PiecewisePolynomial:
+    """khadiv Eq. 5 between the middles of the first and the last single support, and quintics from and to z_min."""
+    falling, rising = steady_pelvis_z(p)
+    delays = [p.T_ini + k * p.T_c for k in range(n_steps)]
+    middle_first, middle_last = delays[0] + 0.5 * p.T_s, delays[-1] + 0.5 * p.T_s
+    half = 0.5 * p.T_c
+    top = (p.z_max, 0.0, falling.derivative(0.5 * p.T_s, 2))
+    bottom = (p.z_min, 0.0, 0.0)
+    pieces = [quintic(middle_first - half, middle_first, bottom, top)]
+    for delay in delays[:-1]:
+        pieces += [shift(falling, 0.0, delay), shift(rising, 0.0, delay)]
+    pieces.append(quintic(middle_last, middle_last + half, top, bottom))
+    return join(pieces, middle_first - half + half * jnp.arange(2 * n_steps + 1))

@@ -1,0 +1,76 @@
+"""Gait parameters of the preset robots.
+
+surena3, polynomial: the paper does not state its numbers. D_s, T_s, T_d, H_max, z_max, z_min are chosen; x_s, x_e, y_d,
+y_m and the start and stop were optimised for the ZMP margin, as section 2.2 of the paper proposes.
+elkahlout, cosine: section 3.2 of the thesis states them all, but for the start from and stop to rest.
+"""
+
+from jaxbiped.planner.checks import GaitError
+from jaxbiped.planner.cosine_gait import CosineParams
+from jaxbiped.planner.polynomial_gait import PolynomialParams, StartStop
+
+
+def polynomial_params(robot_name: str) -> PolynomialParams:
+    """Preset of the polynomial gait for a preset robot."""
+    return _of(_POLYNOMIAL, robot_name, "PolynomialGait.make(robot, PolynomialParams(...), n_steps)")()
+
+
+def cosine_params(robot_name: str) -> CosineParams:
+    """Preset of the cosine gait for a preset robot."""
+    return _of(_COSINE, robot_name, "CosineGait.make(robot, CosineParams(...), n_steps)")()
+
+
+def _of(table: dict, robot_name: str, otherwise: str):
+    if robot_name not in table:
+        raise GaitError(f"preset gait: got robot {robot_name!r}, allowed: {', '.join(table)}; otherwise {otherwise}")
+    return table[robot_name]
+
+
+def _surena3_polynomial() -> PolynomialParams:
+    return PolynomialParams(
+        D_s=0.25,
+        T_s=1.2,
+        T_d=0.6,
+        H_max=0.10,
+        x_s=0.05489,
+        x_e=0.01021,
+        y_d=0.02505,
+        y_m=-0.02198,
+        z_max=0.76,
+        z_min=0.745,
+        L_p=0.23,
+        T_ini=1.5,
+        T_end=1.5,
+        start_stop=StartStop(
+            x_rest_start=-0.0308,
+            x_s_first=0.02316,
+            x_e_first=0.02104,
+            x_s_second=0.04945,
+            x_e_penultimate=0.00590,
+            x_s_last=0.06154,
+            x_e_last=-0.02857,
+            x_rest_end=-0.03076,
+            v_first=-0.00255,
+            v_last=0.00883,
+        ),
+    )
+
+
+def _elkahlout_cosine() -> CosineParams:
+    return CosineParams(
+        t_ss=1.4,
+        t_ds=1.0,
+        b_s=0.08,
+        w=0.13,
+        w_of=0.11,
+        h_b=0.5,
+        h_s=0.03,
+        x_ref=-0.09,
+        y_ref=0.0,
+        T_ini=1.2,
+        T_end=1.2,
+    )
+
+
+_POLYNOMIAL = {"surena3": _surena3_polynomial}
+_COSINE = {"elkahlout": _elkahlout_cosine}

@@ -1,0 +1,98 @@
+"""What a gait asks of the robot at one instant."""
+
+from typing import Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+SINGLE_SUPPORT, DOUBLE_SUPPORT = 0, 1
+
+
+class TaskSpace(eqx.Module):
+    """Soles and pelvis in the world (or their time derivatives). Soles level, pelvis upright, both facing +x."""
+
+    sole: Float[Array, "2 3"]
+    """Sole frame origins, left and right [m]."""
+    pelvis: Float[Array, "3"]
+    """Pelvis frame origin [m]."""
+
+
+class Phase(eqx.Module):
+    """Where in the walk an instant lies."""
+
+    step: Int[Array, ""]
+    """Number of the step, 0 for the first; a step is a single support and the double support after it."""
+    swing: Int[Array, ""]
+    """The foot that swings in this step, 0 left or 1 right; in double support the one that swung last."""
+    support: Int[Array, ""]
+    """SINGLE_SUPPORT or DOUBLE_SUPPORT."""
+    time_in_phase: Float[Array, ""]
+    """Time since this support phase began [s]; before the first lift-off, since the start of the walk."""
+    time_since_liftoff: Float[Array, ""]
+    """Time since the lift-off of this step [s]; negative before the first one."""
+
+
+def step_phase(
+    t: Float[Array, ""],
+    first_liftoff: Float[Array, ""],
+    T_s: Float[Array, ""],
+    T_c: Float[Array, ""],
+    n_steps: int,
+    first_swing: int,
+) -> Phase:
+    """Phase at time t of a walk whose steps (single support T_s, whole step T_c) begin at `first_liftoff` [s]."""
+    step = jnp.clip(jnp.floor((t - first_liftoff) / T_c), 0, n_steps - 1).astype(jnp.int32)
+    since_liftoff = t - first_liftoff - step * T_c
+    standing, single = since_liftoff < 0.0, (since_liftoff >= 0.0) & (since_liftoff < T_s)
+    return Phase(
+        step=step,
+        swing=(first_swing + step) % 2,
+        support=jnp.where(single, SINGLE_SUPPORT, DOUBLE_SUPPORT),
+        time_in_phase=jnp.where(standing, t, jnp.where(single, since_liftoff, since_liftoff - T_s)),
+        time_since_liftoff=since_liftoff,
+    )
+
+
+class Targets(eqx.Module):
+    """Task-space targets with their first two derivatives, and the phase."""
+
+    position: TaskSpace
+    """[m]"""
+    velocity: TaskSpace
+    """[m/s]"""
+    acceleration: TaskSpace
+    """[m/s2]"""
+    phase: Phase
+    """Where in the walk this is."""
+
+
+@runtime_checkable
+class Gait(Protocol):
+    """A planned walk: two functions of time, for any time, under jit."""
+
+    @property
+    def duration(self) -> Float[Array, ""]:
+        """From rest to rest [s]."""
+        ...
+
+    def task(self, t: Float[Array, ""]) -> TaskSpace:
+        """Soles and pelvis at time t [s]."""
+        ...
+
+    def phase(self, t: Float[Array, ""]) -> Phase:
+        """Phase of the walk at time t [s]."""
+        ...
+
+
+def at(gait: Gait, t: Float[Array, ""] | float) -> Targets:
+    """Targets of a gait at time t [s] since its start from rest; before it and after its end the robot stands."""
+    time = jnp.asarray(t, jnp.result_type(float))
+    one = jnp.ones_like(time)
+
+    def with_velocity(s: Float[Array, ""]) -> tuple[TaskSpace, TaskSpace]:
+        return jax.jvp(gait.task, (s,), (one,))
+
+    (position, velocity), (_, acceleration) = jax.jvp(with_velocity, (time,), (one,))
+    return Targets(position, velocity, acceleration, gait.phase(time))

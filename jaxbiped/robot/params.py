@@ -1,0 +1,81 @@
+"""The record of a biped: two 6-DoF legs whose three hip axes meet in one point, under a rigid trunk.
+
+Every frame is aligned with the pelvis (x forward, y left, z up) when all joint angles are zero. Leading axes:
+`2` is (left, right), `6` the joints of a leg from hip to foot, `13` the links (trunk, then the left leg's six
+and the right leg's six).
+"""
+
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+LEFT, RIGHT = 0, 1
+SIDE_NAMES = ("left", "right")
+JOINT_NAMES = ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle_pitch", "ankle_roll")
+JOINT_AXES = "zxyyyx"
+LEG_LINK_NAMES = ("hip_yaw", "hip_roll", "thigh", "shank", "ankle", "foot")
+LINK_NAMES = ("trunk", *(f"{side}_{link}" for side in SIDE_NAMES for link in LEG_LINK_NAMES))
+KNEE = JOINT_NAMES.index("knee")
+
+
+class Links(eqx.Module):
+    """Mass properties of the 13 links, each in its own link frame.
+
+    The trunk's frame is the pelvis frame; hip_yaw, hip_roll and thigh have their origin in the hip centre, the
+    shank in the knee, ankle and foot in the ankle centre.
+    """
+
+    mass: Float[Array, "*batch 13"]
+    """Mass [kg]."""
+    com: Float[Array, "*batch 13 3"]
+    """Centre of mass in the link frame [m]."""
+    inertia: Float[Array, "*batch 13 3 3"]
+    """Inertia about the centre of mass, link axes [kg m2]."""
+
+
+class Servo(eqx.Module):
+    """The position servo of every joint and what its actuator can do."""
+
+    kp: Float[Array, "*batch 2 6"]
+    """Position gain [N m/rad]."""
+    kv: Float[Array, "*batch 2 6"]
+    """Velocity gain [N m s/rad]."""
+    ki: Float[Array, "*batch 2 6"]
+    """Integral gain [N m/(rad s)]."""
+    armature: Float[Array, "*batch 2 6"]
+    """Rotor inertia seen at the joint [kg m2]."""
+    torque_limit: Float[Array, "*batch 2 6"]
+    """Largest joint torque, either sign [N m]."""
+    speed_limit: Float[Array, "*batch 2 6"]
+    """Largest joint speed, either sign [rad/s]."""
+
+
+class RobotParams(eqx.Module):
+    """Everything that does not change while the robot walks. SI units; build one with `robot.load`."""
+
+    name: str = eqx.field(static=True)
+    """Name, as in the file it came from."""
+    p_pelvis_hip: Float[Array, "*batch 2 3"]
+    """Hip centre (where the three hip axes meet) in the pelvis frame [m]."""
+    thigh_length: Float[Array, "*batch"]
+    """Hip centre to knee axis [m]."""
+    shank_length: Float[Array, "*batch"]
+    """Knee axis to ankle centre [m]."""
+    ankle_height: Float[Array, "*batch"]
+    """Ankle centre above the sole [m]; the sole frame's origin lies right below the ankle centre."""
+    p_sole_corner: Float[Array, "*batch 2 4 3"]
+    """Sole corners in the sole frame [m]: toe left, toe right, heel left, heel right."""
+    links: Links
+    """Mass properties."""
+    servo: Servo
+    """Joint servos and actuator limits."""
+    joint_range: Float[Array, "*batch 2 6 2"]
+    """Smallest and largest joint angle [rad]."""
+    height: Float[Array, "*batch"]
+    """Standing height, top of the head over the sole [m]; drawn, never used in the dynamics."""
+
+    @property
+    def total_mass(self) -> Any:
+        """Mass of the whole robot [kg]."""
+        return self.links.mass.sum(-1)

@@ -1,0 +1,33 @@
+"""What every test shares: compiled kernels are kept between runs, and float64 is there for those who ask."""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+
+def _user_cache() -> Path:
+    if "XDG_CACHE_HOME" in os.environ:
+        return Path(os.environ["XDG_CACHE_HOME"])
+    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+
+
+def _keep_compiled_kernels() -> None:
+    """Point JAX, here and in child processes, at a compilation cache that outlives the run."""
+    folder = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_user_cache() / "jaxbiped" / "jax"))
+    seconds = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", float(seconds))
+
+
+_keep_compiled_kernels()
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """The test computes in float64; every other test in JAX's default, float32."""
+    with jax.enable_x64(True):
+        yield
