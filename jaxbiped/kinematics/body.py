@@ -9,29 +9,29 @@ from jaxtyping import Array, Float, Int
 from jaxbiped.kinematics import leg
 from jaxbiped.robot import JOINT_AXES, LEFT, RIGHT, RobotParams
 
-_AXIS_COLUMN = jnp.array(["xyz".index(axis) for axis in JOINT_AXES], dtype=jnp.int32)
-
 
 class BodyPose(eqx.Module):
     """Where every link and sole is, in the world."""
 
-    p_world_link: Float[Array, "13 3"]
+    p_world_link: Float[Array, "*batch 13 3"]
     """Origins of the link frames [m]."""
-    rot_world_link: Float[Array, "13 3 3"]
+    rot_world_link: Float[Array, "*batch 13 3 3"]
     """Orientation of the link frames."""
-    p_world_sole: Float[Array, "2 3"]
+    p_world_sole: Float[Array, "*batch 2 3"]
     """Origins of the sole frames [m]."""
 
     @property
-    def p_world_joint(self) -> Float[Array, "2 6 3"]:
+    def p_world_joint(self) -> Float[Array, "*batch 2 6 3"]:
         """A point on every joint axis [m]: the origin of the link it moves."""
-        return self.p_world_link[1:].reshape(2, 6, 3)
+        points = self.p_world_link[..., 1:, :]
+        return points.reshape(*points.shape[:-2], 2, 6, 3)
 
     @property
-    def axis_world_joint(self) -> Float[Array, "2 6 3"]:
+    def axis_world_joint(self) -> Float[Array, "*batch 2 6 3"]:
         """Unit vector along every joint axis."""
-        rotations = self.rot_world_link[1:].reshape(2, 6, 3, 3)
-        return jnp.take_along_axis(rotations, _AXIS_COLUMN[None, :, None, None], axis=-1)[..., 0]
+        columns = ["xyz".index(axis) for axis in JOINT_AXES] * 2
+        axes = [self.rot_world_link[..., 1 + link, :, column] for link, column in enumerate(columns)]
+        return jnp.stack(axes, axis=-2).reshape(*axes[0].shape[:-1], 2, 6, 3)
 
 
 def pose(
@@ -63,7 +63,9 @@ def com(robot: RobotParams, body: BodyPose) -> Float[Array, "3"]:
 
 
 def joint_angles(
-    robot: RobotParams, p_pelvis_sole: Float[Array, "2 3"], rot_pelvis_sole: Float[Array, "2 3 3"] | None = None
+    robot: RobotParams,
+    p_pelvis_sole: Float[Array, "2 3"],
+    rot_pelvis_sole: Float[Array, "2 3 3"] | None = None,
 ) -> tuple[Float[Array, "2 6"], Int[Array, "2"]]:
     """Inverse kinematics of both legs; soles parallel to the pelvis unless a rotation is given.
 

@@ -44,19 +44,19 @@ class MotionState(eqx.Module):
 
     body: BodyPose
     """Where the links are."""
-    angle: Float[Array, "2 6"]
+    angle: Float[Array, "*batch 2 6"]
     """Joint angles [rad]."""
-    speed: Float[Array, "2 6"]
+    speed: Float[Array, "*batch 2 6"]
     """Joint speeds [rad/s]."""
-    acceleration: Float[Array, "2 6"]
+    acceleration: Float[Array, "*batch 2 6"]
     """Joint accelerations [rad/s2]."""
     link_wrench: Wrench
-    """(13,) Rate of change of every link's momentum, less its weight [N, N m]."""
+    """(..., 13) Rate of change of every link's momentum, less its weight [N, N m]."""
 
     @property
     def ground_wrench(self) -> Wrench:
         """What the ground must give in total."""
-        return Wrench(self.link_wrench.force.sum(0), self.link_wrench.moment.sum(0))
+        return Wrench(self.link_wrench.force.sum(-2), self.link_wrench.moment.sum(-2))
 
 
 def evaluate(robot: RobotParams, motion: Motion, time: Float[Array, ""]) -> MotionState:
@@ -91,7 +91,9 @@ def joint_torques(robot: RobotParams, state: MotionState, foot_wrench: Wrench) -
     The torque of a joint is the part along its axis of everything the links beyond it need and the ground does not
     give, about a point on the axis, plus armature times joint acceleration.
     """
-    legs = Wrench(*(leaf[1:].reshape(2, 6, 3) for leaf in (state.link_wrench.force, state.link_wrench.moment)))
+    legs = Wrench(
+        *(leaf[1:].reshape(2, 6, 3) for leaf in (state.link_wrench.force, state.link_wrench.moment))
+    )
     beyond = Wrench(*(jnp.cumsum(leaf[:, ::-1], axis=1)[:, ::-1] for leaf in (legs.force, legs.moment)))
     needed = beyond - Wrench(foot_wrench.force[:, None], foot_wrench.moment[:, None])
     about_joint = needed.moment - jnp.cross(state.body.p_world_joint, needed.force)

@@ -24,25 +24,25 @@ _ABOUT = {"x": about_x, "y": about_y, "z": about_z}
 class LegPose(eqx.Module):
     """Where the six link frames of a leg and its sole are, in the pelvis frame."""
 
-    p_pelvis_link: Float[Array, "6 3"]
+    p_pelvis_link: Float[Array, "*batch 6 3"]
     """Origins of the link frames [m]."""
-    rot_pelvis_link: Float[Array, "6 3 3"]
+    rot_pelvis_link: Float[Array, "*batch 6 3 3"]
     """Orientation of the link frames; the last one is the sole's too."""
-    p_pelvis_sole: Float[Array, "3"]
+    p_pelvis_sole: Float[Array, "*batch 3"]
     """Origin of the sole frame [m]."""
 
     @property
-    def rot_pelvis_sole(self) -> Float[Array, "3 3"]:
+    def rot_pelvis_sole(self) -> Float[Array, "*batch 3 3"]:
         """Orientation of the sole."""
-        return self.rot_pelvis_link[-1]
+        return self.rot_pelvis_link[..., -1, :, :]
 
 
 class LegAngles(eqx.Module):
     """What the inverse kinematics found."""
 
-    angle: Float[Array, "6"]
+    angle: Float[Array, "*batch 6"]
     """Joint angles, hip yaw to ankle roll [rad]."""
-    status: Int[Array, ""]
+    status: Int[Array, "*batch"]
     """OK, OUT_OF_REACH or AT_JOINT_LIMIT; the first that applies, in the order out of reach, joint limit."""
 
 
@@ -78,7 +78,7 @@ def inverse(
     """
     r = _hip_in_sole_frame(robot, side, p_pelvis_sole, rot_pelvis_sole)
     knee, reachable = _knee(robot, side, safe.norm(r))
-    pitch, roll = _ankle(robot, r, knee)
+    pitch, roll = _ankle(robot, side, r, knee)
     hip = _hip(rot_pelvis_sole @ about_x(-roll) @ about_y(-knee - pitch))
     angle = jnp.concatenate([hip, jnp.stack([knee, pitch, roll])])
     lower, upper = robot.joint_range[side, :, 0], robot.joint_range[side, :, 1]
@@ -124,13 +124,27 @@ def _knee(
 
 
 def _ankle(
-    robot: RobotParams, r: Float[Array, "3"], knee: Float[Array, ""]
+    robot: RobotParams, side: int, r: Float[Array, "3"], knee: Float[Array, ""]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Ankle pitch and roll that point the leg at the hip, `r` = hip from ankle in the sole frame [m]."""
+    """Ankle pitch and roll that point the leg at the hip, `r` = hip from ankle in the sole frame [m].
+
+    Two pairs do, half a turn of roll apart: the leg leans over the front or the back of the foot, or it goes round past
+    the horizontal, as in a deep squat. The pair that leaves the ankle's joint ranges by less is the one.
+    """
+    a, b = robot.thigh_length, robot.shank_length
+    shank, thigh = b + a * jnp.cos(knee), a * jnp.sin(knee)
+    height = safe.norm(r[1:])
+
+    def pitch(height: Float[Array, ""]) -> Float[Array, ""]:
+        return safe.atan2(-thigh * height - shank * r[0], shank * height - thigh * r[0])
+
     roll = safe.atan2(r[1], r[2])
-    forward_lean = safe.atan2(r[0], safe.norm(r[1:]))
-    shank_lean = safe.atan2(-robot.thigh_length * jnp.sin(knee), robot.shank_length + robot.thigh_length * jnp.cos(knee))
-    return shank_lean - forward_lean, roll
+    turned = jnp.where(roll > 0.0, roll - jnp.pi, roll + jnp.pi)
+    pairs = jnp.stack([jnp.stack([pitch(height), roll]), jnp.stack([pitch(-height), turned])])
+    lower, upper = robot.joint_range[side, 4:, 0], robot.joint_range[side, 4:, 1]
+    excess = jnp.sum(jnp.abs(pairs - jnp.clip(pairs, lower, upper)), axis=1)
+    ankle = jnp.where(excess[0] <= excess[1], pairs[0], pairs[1])
+    return ankle[0], ankle[1]
 
 
 def _hip(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:

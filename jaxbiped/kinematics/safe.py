@@ -22,6 +22,9 @@ def sqrt(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
 
 
 def atan2(y: Float[Array, "*batch"], x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Angle of the point (x, y); at the origin the value and the derivative are 0."""
-    at_origin = (x == 0.0) & (y == 0.0)
+    """Angle of the point (x, y); at the origin the value and the derivative are 0.
+
+    The origin is all that lies within 1e-18 of it, where the squares in the derivative underflow in float32.
+    """
+    at_origin = (jnp.abs(x) < 1e-18) & (jnp.abs(y) < 1e-18)
     return jnp.where(at_origin, 0.0, jnp.arctan2(y, jnp.where(at_origin, 1.0, x)))

@@ -1,4 +1,4 @@
-"""Planner: both papers' gaits as functions of time, and what they take of a robot. Knows nothing of scenarios."""
+"""Planner: both papers' gaits as functions of time, and what they take of a robot, whatever the scenario."""
 
 from jaxbiped.planner import polynomial, support
 from jaxbiped.planner.checks import GaitError

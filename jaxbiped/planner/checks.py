@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.targets import Gait
@@ -18,10 +19,10 @@ class GaitError(ValueError):
 
 def is_concrete(*trees: Any) -> bool:
     """Whether every leaf has a known value: false under jit, vmap or differentiation."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def require(name: str, value: Any, allowed: str, *conditions: bool, unit: str = "s") -> None:
+def require(name: str, value: Any, allowed: str, *conditions: Any, unit: str = "s") -> None:
     """Raise a GaitError unless the value is finite and all conditions hold."""
     if not (np.isfinite(value) and all(conditions)):
         raise GaitError(f"{name}: got {float(value):g} {unit}, allowed: {allowed}")
@@ -34,8 +35,9 @@ def require_reach(robot: RobotParams, gait: Gait, samples: int = 400) -> None:
     for i, side in _failures(status):
         word = STATUS_TEXT[status[i, side]]
         raise GaitError(
-            f"gait: got a {SIDE_NAMES[side]} foot {word} at t = {float(times[i]):.3f} s of {float(gait.duration):.3f} s "
-            f"on robot {robot.name!r}, allowed: every foot position within reach and joint range"
+            f"gait: got a {SIDE_NAMES[side]} foot {word} at t = {float(times[i]):.3f} s "
+            f"of {float(gait.duration):.3f} s on robot {robot.name!r}, "
+            "allowed: every foot position within reach and joint range"
         )
 
 

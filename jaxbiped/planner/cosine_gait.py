@@ -1,7 +1,7 @@
-"""The cosine gait of El-Kahlout's thesis, Eqs. 3.1-3.6, set into the world and given a start from and a stop to rest.
+"""The cosine gait of El-Kahlout's thesis, Eqs. 3.1-3.6, set into the world, from rest to rest.
 
-The thesis writes the feet in the body frame. Its stance foot is what stands still in the world, which says where the
-body is: it advances 2 b_s in every single support and sways by w sin(pi t / (t_ss + t_ds)). Time runs
+The thesis writes the feet in the body frame. Its stance foot is what stands still in the world, which says
+where the body is: it advances 2 b_s in every single support and sways by w sin(pi t / (t_ss + t_ds)). Time:
 
     0 .. T_ini     the robot stands with its feet b_s ahead and behind; a quintic brings the sway up to speed
     T_ini ..       the thesis' time t: half a double support, then steps of t_ss + t_ds
@@ -78,7 +78,9 @@ class CosineGait(eqx.Module):
         return cls.make(robot, cosine_params(robot.name), n_steps, first_swing)
 
     @classmethod
-    def make(cls, robot: RobotParams, params: CosineParams, n_steps: int, first_swing: int = LEFT) -> "CosineGait":
+    def make(
+        cls, robot: RobotParams, params: CosineParams, n_steps: int, first_swing: int = LEFT
+    ) -> "CosineGait":
         """Plan a walk.
 
         Raises:
@@ -103,15 +105,20 @@ class CosineGait(eqx.Module):
         return p.T_ini + self.n_steps * p.T_c + p.T_end
 
     def task(self, t: Scalar) -> TaskSpace:
-        """Soles and pelvis in the world at time t [s]; sole minus pelvis is (X, Y, Z) of elkahlout Eqs. 3.1-3.6."""
+        """Soles and pelvis in the world at time t [s]; sole minus pelvis is elkahlout Eqs. 3.1-3.6."""
         p, phase = self.params, self.phase(t)
         angle = jnp.pi * jnp.clip(phase.time_since_liftoff, 0.0, p.t_ss) / p.t_ss
         middle = (2 * phase.step + 1) * p.b_s
         stance_foot = [middle + p.x_ref, jnp.zeros_like(t)]
-        swing_foot = [middle + p.x_ref - 2.0 * p.b_s * jnp.cos(angle), 0.5 * p.h_s * (1.0 - jnp.cos(2.0 * angle))]
+        swing_foot = [
+            middle + p.x_ref - 2.0 * p.b_s * jnp.cos(angle),
+            0.5 * p.h_s * (1.0 - jnp.cos(2.0 * angle)),
+        ]
         soles = []
         for side, y in ((LEFT, p.w_of), (RIGHT, -p.w_of)):
-            x, z = (jnp.where(phase.swing == side, a, b) for a, b in zip(swing_foot, stance_foot, strict=True))
+            x, z = (
+                jnp.where(phase.swing == side, a, b) for a, b in zip(swing_foot, stance_foot, strict=True)
+            )
             soles.append(jnp.stack([x, y, z]))
         pelvis = jnp.stack([middle - p.b_s * jnp.cos(angle), self._sway(t) - p.y_ref, p.h_b])
         return TaskSpace(jnp.stack(soles), pelvis)

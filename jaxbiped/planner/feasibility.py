@@ -1,4 +1,4 @@
-"""Can this robot walk this plan? ZMP, friction, torque, speed and knee of the full multibody model (khadiv sec. 2.2)."""
+"""Can this robot walk this plan? ZMP, friction, torque, speed, knee of the multibody model (khadiv 2.2)."""
 
 from typing import Any
 
@@ -56,7 +56,7 @@ class Feasibility(eqx.Module):
 
 
 def motion_of(robot: RobotParams, task: Any) -> Motion:
-    """The motion of all links that follows a function of time -> TaskSpace, pelvis upright and soles level."""
+    """The motion of all links that follows a function time -> TaskSpace, pelvis upright and soles level."""
 
     def motion(t: Float[Array, ""]):
         here: TaskSpace = task(t)
@@ -75,8 +75,8 @@ def zmp_of(wrench: Wrench, height: Float[Array, ""] | float = 0.0) -> Float[Arra
 def share_between_feet(robot: RobotParams, task: TaskSpace, phase: Phase, wrench: Wrench) -> Wrench:
     """Split the ground wrench between the feet by the place of the ZMP between their centres.
 
-    In single support the stance foot has it all. The two parts always add up to the whole; both feet press with the
-    same offset from their centres.
+    In single support the stance foot has it all. The two parts always add up to the whole; both feet press
+    with the same offset from their centres.
     """
     centre = task.sole[:, :2] + robot.p_sole_corner[:, :, :2].mean(axis=1)
     zmp = zmp_of(wrench)
@@ -119,7 +119,7 @@ def instant(robot: RobotParams, gait: Gait, t: Float[Array, ""]) -> Feasibility:
 
 @eqx.filter_jit
 def feasibility(robot: RobotParams, gait: Any, times: Float[Array, " n"]) -> Feasibility:
-    """What a gait takes at many times [s]: the report, with a leading axis. Differentiable in robot and gait."""
+    """What a gait takes at many times [s], as a leading axis. Differentiable in robot and gait."""
     return jax.vmap(lambda t: instant(robot, gait, t))(times)
 
 

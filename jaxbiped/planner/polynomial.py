@@ -1,7 +1,8 @@
 """Polynomials from boundary conditions, and piecewise polynomials of time.
 
-Conditions may stand at any times and on any derivative; coefficients are differentiable in times and values. Time is
-scaled to [-1, 1] over the conditions before the linear system is solved, which keeps it well conditioned in float32.
+Conditions may stand at any times and on any derivative; coefficients are differentiable in times and values.
+Time is scaled to [-1, 1] over the conditions before the linear system is solved, which keeps it well
+conditioned in float32.
 """
 
 from collections.abc import Sequence
@@ -37,8 +38,10 @@ class Polynomial(eqx.Module):
         return _horner(c, (t - self.centre) / self.scale) / self.scale**order
 
 
-def boundary_polynomial(times: Sequence[Scalar], orders: Sequence[int], values: Sequence[Scalar]) -> Polynomial:
-    """The polynomial of lowest degree with n given conditions: derivative `orders[i]` at `times[i]` is `values[i]`.
+def boundary_polynomial(
+    times: Sequence[Scalar], orders: Sequence[int], values: Sequence[Scalar]
+) -> Polynomial:
+    """The polynomial of degree n - 1 with n conditions: derivative `orders[i]` at `times[i]` is `values[i]`.
 
     Args:
         times: n times [s], at least two of them different.
@@ -50,7 +53,9 @@ def boundary_polynomial(times: Sequence[Scalar], orders: Sequence[int], values: 
     """
     n = len(values)
     if not len(times) == len(orders) == n:
-        raise ValueError(f"conditions: got {len(times)} times, {len(orders)} orders, {n} values, allowed: as many of each")
+        raise ValueError(
+            f"conditions: got {len(times)} times, {len(orders)} orders, {n} values, allowed: as many of each"
+        )
     if any(order < 0 or order >= n for order in orders):
         raise ValueError(f"orders: got {tuple(orders)}, allowed: 0 to {n - 1} with {n} conditions")
     t = jnp.stack([jnp.asarray(time, jnp.result_type(float)) for time in times])
@@ -64,7 +69,8 @@ def boundary_polynomial(times: Sequence[Scalar], orders: Sequence[int], values: 
 def _row(s: Float[Array, ""], order: int, n: int) -> Float[Array, " n"]:
     """The derivative of (1, s, s**2, ...) of the given order."""
     entries = [
-        factorial(k) // factorial(k - order) * s ** (k - order) if k >= order else jnp.zeros_like(s) for k in range(n)
+        factorial(k) // factorial(k - order) * s ** (k - order) if k >= order else jnp.zeros_like(s)
+        for k in range(n)
     ]
     return jnp.stack([jnp.asarray(entry, s.dtype) for entry in entries])
 
@@ -75,7 +81,7 @@ def quintic(start: Scalar, end: Scalar, at_start: Sequence[Scalar], at_end: Sequ
 
 
 class Term(NamedTuple):
-    """One summand of a condition: `factor` times the derivative `order` of piece number `piece` at time `time` [s]."""
+    """One summand of a condition: `factor` times derivative `order` of piece number `piece` at `time` [s]."""
 
     piece: int
     time: Scalar
@@ -125,14 +131,14 @@ def _horner(coefficients: Float[Array, " n"], s: Scalar) -> Float[Array, ""]:
 class PiecewisePolynomial(eqx.Module):
     """Polynomials side by side; before the first and after the last the end value is held."""
 
-    breaks: Float[Array, "pieces+1"]
-    """Where pieces start and the last one ends, increasing [s]."""
     coefficients: Float[Array, "pieces n"]
     """Of powers of the scaled time of each piece."""
     centre: Float[Array, "pieces"]
     """[s]"""
     scale: Float[Array, "pieces"]
     """[s]"""
+    breaks: Float[Array, "pieces+1"]
+    """Where pieces start and the last one ends, increasing [s]."""
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
         """Value at time t [s]."""

@@ -1,14 +1,18 @@
 """The polynomial gait of Khadiv et al., Eqs. 1-5, for any number of steps, from rest to rest.
 
-Steps are numbered from 0. Step k stands on the foot at x = k D_s while the other one swings from the foothold of step
-k - 1 to that of step k + 1; the first swing is half a stride, the last one ends beside the stance foot. Time runs
+Steps are numbered from 0. Step k stands on the foot at x = k D_s while the other one swings from the foothold
+of step k - 1 to that of step k + 1; the first swing is half a stride, the last one ends beside the stance
+foot. Time runs
 
     0 .. T_ini          pelvis moves from rest into the steady motion, both feet on the ground
     T_ini + k T_c ..    step k: single support T_s, then double support T_d
     .. duration         pelvis comes to rest in T_end after the last touchdown
 """
 
+import operator
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -37,8 +41,8 @@ def _scalar(value: float | Scalar) -> Scalar:
 class StartStop(eqx.Module):
     """Where the pelvis is at rest and in the first and last steps, sagittally, instead of x_s and x_e.
 
-    Offsets of the pelvis from the stance foot, with the signs of x_s (behind it, start of single support) and x_e
-    (ahead of it, end of single support).
+    Offsets of the pelvis from the stance foot, with the signs of x_s (behind it, start of single support) and
+    x_e (ahead of it, end of single support).
     """
 
     x_rest_start: Scalar = eqx.field(converter=_scalar)
@@ -81,7 +85,7 @@ class PolynomialParams(eqx.Module):
     y_d: Scalar = eqx.field(converter=_scalar)
     """Lateral distance between pelvis and stance foot at the start and end of single support [m]."""
     y_m: Scalar = eqx.field(converter=_scalar)
-    """The same in the middle of single support, the smallest distance; negative beyond the stance foot [m]."""
+    """The same in mid single support, the smallest distance; negative beyond the stance foot [m]."""
     z_max: Scalar = eqx.field(converter=_scalar)
     """Greatest pelvis height over the ground, in the middle of single support [m]."""
     z_min: Scalar = eqx.field(converter=_scalar)
@@ -113,7 +117,7 @@ def swing_z(p: PolynomialParams) -> Polynomial:
 
 
 def steady_pelvis_x(p: PolynomialParams) -> tuple[Polynomial, Polynomial]:
-    """Pelvis ahead of the stance foot [m] in single and double support over the time since lift-off (khadiv Eq. 3)."""
+    """Pelvis ahead of the stance foot [m] in both phases, over the time since lift-off (khadiv Eq. 3)."""
     ssp, dsp = 0, 1
     start, switch, end = 0.0, p.T_s, p.T_c
     single, double = coupled_polynomials(
@@ -204,7 +208,9 @@ class PolynomialGait(eqx.Module):
         if not (isinstance(n_steps, int) and n_steps >= 1):
             raise GaitError(f"n_steps: got {n_steps!r}, allowed: a whole number >= 1")
         if first_swing not in (LEFT, RIGHT):
-            raise GaitError(f"first_swing: got {first_swing!r}, allowed: 0 ({SIDE_NAMES[0]}) or 1 ({SIDE_NAMES[1]})")
+            raise GaitError(
+                f"first_swing: got {first_swing!r}, allowed: 0 ({SIDE_NAMES[0]}) or 1 ({SIDE_NAMES[1]})"
+            )
         known = is_concrete(params, robot)
         if known:
             _require_sane(robot, params)
@@ -224,11 +230,16 @@ class PolynomialGait(eqx.Module):
         since_liftoff = jnp.clip(phase.time_since_liftoff, 0.0, p.T_s)
         come_from = p.D_s * jnp.maximum(phase.step - 1, 0)
         go_to = p.D_s * jnp.minimum(phase.step + 1, self.n_steps - 1)
-        swing_foot = [come_from + (go_to - come_from) * self.foot_x(since_liftoff), self.foot_z(since_liftoff)]
+        swing_foot = [
+            come_from + (go_to - come_from) * self.foot_x(since_liftoff),
+            self.foot_z(since_liftoff),
+        ]
         stance_foot = [p.D_s * phase.step, jnp.zeros_like(t)]
         soles = []
         for side, y in ((LEFT, 0.5 * p.L_p), (RIGHT, -0.5 * p.L_p)):
-            x, z = (jnp.where(phase.swing == side, a, b) for a, b in zip(swing_foot, stance_foot, strict=True))
+            x, z = (
+                jnp.where(phase.swing == side, a, b) for a, b in zip(swing_foot, stance_foot, strict=True)
+            )
             soles.append(jnp.stack([x, y, z]))
         return TaskSpace(jnp.stack(soles), jnp.stack([self.pelvis_x(t), self.pelvis_y(t), self.pelvis_z(t)]))
 
@@ -270,13 +281,13 @@ def _plan(p: PolynomialParams, n_steps: int, first_swing: int) -> PolynomialGait
     )
 
 
-def _knots(p: PolynomialParams, n_steps: int) -> Float[Array, " 2*n_steps"]:
+def _knots(p: PolynomialParams, n_steps: int) -> Float[Array, " {2*n_steps}"]:
     """Lift-off and touchdown of every step [s]."""
     liftoff = p.T_ini + p.T_c * jnp.arange(n_steps)
     return jnp.stack([liftoff, liftoff + p.T_s], axis=1).reshape(-1)
 
 
-def _breaks(p: PolynomialParams, n_steps: int) -> Float[Array, " 2*n_steps+2"]:
+def _breaks(p: PolynomialParams, n_steps: int) -> Float[Array, " {2*n_steps+2}"]:
     knots = _knots(p, n_steps)
     return jnp.concatenate([jnp.zeros(1, knots.dtype), knots, (knots[-1] + p.T_end)[None]])
 
@@ -284,24 +295,26 @@ def _breaks(p: PolynomialParams, n_steps: int) -> Float[Array, " 2*n_steps+2"]:
 def _walk_x(p: PolynomialParams, n_steps: int) -> PiecewisePolynomial:
     """One C2 cubic spline through the pelvis' via points of all steps, and quintics from and to rest.
 
-    In the middle of a walk it is khadiv Eq. 3; the first and last steps have via points of their own, without which
-    the ZMP would leave the feet while the walk starts and stops.
+    In the middle of a walk it is khadiv Eq. 3; the first and last steps have via points of their own, without
+    which the ZMP would leave the feet while the walk starts and stops.
     """
     ends, knots, breaks = p.start_stop, _knots(p, n_steps), _breaks(p, n_steps)
-    x_s = jnp.full(n_steps, p.x_s).at[1:2].set(ends.x_s_second).at[-1].set(ends.x_s_last).at[0].set(ends.x_s_first)
+    x_s = (
+        jnp.full(n_steps, p.x_s)
+        .at[1:2]
+        .set(ends.x_s_second)
+        .at[-1]
+        .set(ends.x_s_last)
+        .at[0]
+        .set(ends.x_s_first)
+    )
     x_e = jnp.full(n_steps, p.x_e).at[-2:-1].set(ends.x_e_penultimate).at[0].set(ends.x_e_first)
     x_e = x_e.at[-1].set(ends.x_e_last)
     stance = p.D_s * jnp.arange(n_steps)
     via = jnp.stack([stance - x_s, stance + x_e], axis=1).reshape(-1)
     slope = spline_slopes(knots, via, ends.v_first, ends.v_last)
-    spline = [
-        boundary_polynomial(
-            [knots[i], knots[i], knots[i + 1], knots[i + 1]],
-            (0, 1, 0, 1),
-            [via[i], slope[i], via[i + 1], slope[i + 1]],
-        )
-        for i in range(2 * n_steps - 1)
-    ]
+    cubics = jax.vmap(_cubic)(knots[:-1], knots[1:], via[:-1], via[1:], slope[:-1], slope[1:])
+    spline = [jax.tree.map(operator.itemgetter(i), cubics) for i in range(2 * n_steps - 1)]
     first = [spline[0].derivative(knots[0], order) for order in (0, 1, 2)]
     last = [spline[-1].derivative(knots[-1], order) for order in (0, 1, 2)]
     start = quintic(0.0, p.T_ini, (ends.x_rest_start, 0.0, 0.0), first)
@@ -309,8 +322,15 @@ def _walk_x(p: PolynomialParams, n_steps: int) -> PiecewisePolynomial:
     return join([start, *spline, stop], breaks)
 
 
+def _cubic(
+    start: Scalar, end: Scalar, at_start: Scalar, at_end: Scalar, slope_start: Scalar, slope_end: Scalar
+) -> Polynomial:
+    values = [at_start, slope_start, at_end, slope_end]
+    return boundary_polynomial([start, start, end, end], (0, 1, 0, 1), values)
+
+
 def _walk_y(p: PolynomialParams, n_steps: int, first_swing: int) -> PiecewisePolynomial:
-    """khadiv Eq. 4 from the first lift-off to the last touchdown, and quintics from and to the middle of the feet."""
+    """Eq. 4 of khadiv from the first lift-off to the last touchdown, and quintics from and to mid-feet."""
     breaks = _breaks(p, n_steps)
     single, double = steady_pelvis_y(p)
     steps = []
@@ -327,7 +347,7 @@ def _walk_y(p: PolynomialParams, n_steps: int, first_swing: int) -> PiecewisePol
 
 
 def _walk_z(p: PolynomialParams, n_steps: int) -> PiecewisePolynomial:
-    """khadiv Eq. 5 between the middles of the first and the last single support, and quintics from and to z_min."""
+    """Eq. 5 of khadiv from mid first to mid last single support, and quintics from and to z_min."""
     falling, rising = steady_pelvis_z(p)
     delays = [p.T_ini + k * p.T_c for k in range(n_steps)]
     middle_first, middle_last = delays[0] + 0.5 * p.T_s, delays[-1] + 0.5 * p.T_s

@@ -1,7 +1,7 @@
 """Gait parameters of the preset robots.
 
-surena3, polynomial: the paper does not state its numbers. D_s, T_s, T_d, H_max, z_max, z_min are chosen; x_s, x_e, y_d,
-y_m and the start and stop were optimised for the ZMP margin, as section 2.2 of the paper proposes.
+surena3, polynomial: the paper does not state its numbers. D_s, T_s, T_d, H_max, z_max, z_min are chosen; x_s,
+x_e, y_d, y_m and the start and stop were optimised for the ZMP margin, as section 2.2 of the paper proposes.
 elkahlout, cosine: section 3.2 of the thesis states them all, but for the start from and stop to rest.
 """
 
@@ -22,7 +22,9 @@ def cosine_params(robot_name: str) -> CosineParams:
 
 def _of(table: dict, robot_name: str, otherwise: str):
     if robot_name not in table:
-        raise GaitError(f"preset gait: got robot {robot_name!r}, allowed: {', '.join(table)}; otherwise {otherwise}")
+        raise GaitError(
+            f"preset gait: got robot {robot_name!r}, allowed: {', '.join(table)}; otherwise {otherwise}"
+        )
     return table[robot_name]
 
 

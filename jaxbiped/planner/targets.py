@@ -11,7 +11,7 @@ SINGLE_SUPPORT, DOUBLE_SUPPORT = 0, 1
 
 
 class TaskSpace(eqx.Module):
-    """Soles and pelvis in the world (or their time derivatives). Soles level, pelvis upright, both facing +x."""
+    """Soles and pelvis in the world (or their time derivatives); all level, upright and facing +x."""
 
     sole: Float[Array, "2 3"]
     """Sole frame origins, left and right [m]."""
@@ -42,7 +42,7 @@ def step_phase(
     n_steps: int,
     first_swing: int,
 ) -> Phase:
-    """Phase at time t of a walk whose steps (single support T_s, whole step T_c) begin at `first_liftoff` [s]."""
+    """Phase at time t of a walk whose steps (T_s single support, T_c in all) begin at `first_liftoff` [s]."""
     step = jnp.clip(jnp.floor((t - first_liftoff) / T_c), 0, n_steps - 1).astype(jnp.int32)
     since_liftoff = t - first_liftoff - step * T_c
     standing, single = since_liftoff < 0.0, (since_liftoff >= 0.0) & (since_liftoff < T_s)
@@ -66,6 +66,8 @@ class Targets(eqx.Module):
     """[m/s2]"""
     phase: Phase
     """Where in the walk this is."""
+    time: Float[Array, ""]
+    """Time in the plan [s]."""
 
 
 @runtime_checkable
@@ -87,7 +89,7 @@ class Gait(Protocol):
 
 
 def at(gait: Gait, t: Float[Array, ""] | float) -> Targets:
-    """Targets of a gait at time t [s] since its start from rest; before it and after its end the robot stands."""
+    """Targets of a gait at time t [s] since its start from rest; before and after it the robot stands."""
     time = jnp.asarray(t, jnp.result_type(float))
     one = jnp.ones_like(time)
 
@@ -95,4 +97,4 @@ def at(gait: Gait, t: Float[Array, ""] | float) -> Targets:
         return jax.jvp(gait.task, (s,), (one,))
 
     (position, velocity), (_, acceleration) = jax.jvp(with_velocity, (time,), (one,))
-    return Targets(position, velocity, acceleration, gait.phase(time))
+    return Targets(position, velocity, acceleration, gait.phase(time), time)

@@ -53,13 +53,17 @@ def read_number(field: str, entry: Any, rule: Rule) -> Number:
         )
     kinds = [kind for kind in ("stated", "assumed") if kind in entry]
     if unknown := set(entry) - {"value", "unit", "stated", "assumed"}:
-        raise RobotFileError(f"{field}: unknown key {sorted(unknown)[0]!r}, allowed: value, unit, stated, assumed")
+        raise RobotFileError(
+            f"{field}: unknown key {sorted(unknown)[0]!r}, allowed: value, unit, stated, assumed"
+        )
     if "value" not in entry:
         raise RobotFileError(f"{field}: 'value' is missing")
     if entry.get("unit") != rule.unit:
         raise RobotFileError(f"{field}: got unit {entry.get('unit')!r}, allowed: {rule.unit!r}")
     if len(kinds) != 1 or not isinstance(entry[kinds[0]], str) or not entry[kinds[0]].strip():
-        raise RobotFileError(f"{field}: needs either 'stated' (where) or 'assumed' (why), one of them, as text")
+        raise RobotFileError(
+            f"{field}: needs either 'stated' (where) or 'assumed' (why), one of them, as text"
+        )
     return Number(field, _checked_value(field, entry["value"], rule), rule.unit, kinds[0], entry[kinds[0]])
 
 

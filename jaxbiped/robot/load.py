@@ -1,9 +1,11 @@
 """Robot files: TOML in, `RobotParams` out, or an error that says which number is wrong."""
 
 import tomllib
+from collections.abc import Callable
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -50,6 +52,7 @@ _BODY = {
 }
 
 Numbers = dict[str, Number]
+T = TypeVar("T")
 
 
 def presets() -> tuple[str, ...]:
@@ -64,29 +67,36 @@ def load(name_or_path: str | Path) -> RobotParams:
     Raises:
         RobotFileError: naming the file, the field, what was got and what is allowed.
     """
-    label, text = _read_text(name_or_path)
-    try:
-        return _build(_read_all(tomllib.loads(text)))
-    except (RobotFileError, tomllib.TOMLDecodeError) as error:
-        raise RobotFileError(f"{label}: {error}") from None
+    return _build_from(name_or_path, _build)
 
 
 def numbers(name_or_path: str | Path) -> list[Number]:
-    """List every number of a robot file with its unit and where it comes from."""
-    _, text = _read_text(name_or_path)
-    return [n for n in _read_all(tomllib.loads(text)).values() if isinstance(n, Number)]
+    """List every number of a robot file with its unit and where it comes from.
+
+    Raises:
+        RobotFileError: as `load`, but for numbers that contradict each other.
+    """
+    return _build_from(name_or_path, lambda read: [n for n in read.values() if isinstance(n, Number)])
 
 
-def _read_text(name_or_path: str | Path) -> tuple[str, str]:
+def _build_from(name_or_path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
+    """Read the file and build something of its checked numbers; every error names the file."""
+    file = _file(name_or_path)
+    try:
+        return build(_read_all(tomllib.loads(file.read_text(encoding="utf-8"))))
+    except (RobotFileError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RobotFileError(f"{file.name}: {error}") from None
+
+
+def _file(name_or_path: str | Path) -> Traversable:
     if str(name_or_path) in presets():
-        file = resources.files("jaxbiped.robot") / "presets" / f"{name_or_path}.toml"
-        return file.name, file.read_text()
+        return resources.files("jaxbiped.robot") / "presets" / f"{name_or_path}.toml"
     path = Path(name_or_path)
     if path.suffix != ".toml" or not path.is_file():
         raise RobotFileError(
             f"robot: got {str(name_or_path)!r}, allowed: {', '.join(presets())} or the path of a .toml file"
         )
-    return path.name, path.read_text()
+    return path
 
 
 def _read_all(document: dict[str, Any]) -> dict[str, Any]:
@@ -150,7 +160,7 @@ def _read_body(field: str, table: dict[str, Any]) -> Numbers:
 
 def _inertia(field: str, read: dict[str, Any]) -> np.ndarray:
     if f"{field}.box" in read:
-        return rigid.box_inertia(read[f"{field}.mass"].value, read[f"{field}.box"].value)
+        return rigid.box_inertia(float(read[f"{field}.mass"].value), read[f"{field}.box"].value)
     return rigid.inertia_matrix(read[f"{field}.inertia"].value)
 
 
@@ -196,7 +206,9 @@ def _hip_centre(value: dict[str, np.ndarray]) -> np.ndarray:
                 "(closed-form inverse kinematics needs three hip axes through one point)"
             )
     if yaw[1] <= 0.0:
-        raise RobotFileError(f"geometry.hip_yaw_axis: got y = {yaw[1]:g} m, allowed: > 0 m (the left leg is given)")
+        raise RobotFileError(
+            f"geometry.hip_yaw_axis: got y = {yaw[1]:g} m, allowed: > 0 m (the left leg is given)"
+        )
     return np.array([yaw[0], yaw[1], roll[2]])
 
 
@@ -204,7 +216,9 @@ def _sole_corners(value: dict[str, np.ndarray]) -> np.ndarray:
     toe, heel, outer, inner = (value[f"geometry.sole_{edge}"] for edge in ("toe", "heel", "outer", "inner"))
     for high, low, names in ((toe, heel, "toe and heel"), (outer, inner, "outer and inner")):
         if high <= low:
-            raise RobotFileError(f"geometry.sole_*: got {names} at {high:g} and {low:g} m, allowed: the first larger")
+            raise RobotFileError(
+                f"geometry.sole_*: got {names} at {high:g} and {low:g} m, allowed: the first larger"
+            )
     left = np.array([[toe, outer, 0], [toe, inner, 0], [heel, outer, 0], [heel, inner, 0]])
     right = rigid.mirror_vector(left)[[1, 0, 3, 2]]
     return np.stack([left, right])

@@ -135,7 +135,11 @@ def _add_servo(spec: mujoco.MjSpec, robot: RobotParams, side: int, joint: int, n
     kp, kv = float(servo.kp[side, joint]), float(servo.kv[side, joint])
     limit = float(servo.torque_limit[side, joint])
     actuator = spec.add_actuator(
-        name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, forcerange=[-limit, limit], forcelimited=True
+        name=name,
+        target=name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        forcerange=[-limit, limit],
+        forcelimited=True,
     )
     actuator.set_to_position(kp=kp, kv=kv)
 
@@ -143,7 +147,14 @@ def _add_servo(spec: mujoco.MjSpec, robot: RobotParams, side: int, joint: int, n
 def _draw(body: mujoco.MjsBody, kind: mujoco.mjtGeom, size: np.ndarray, pos: np.ndarray) -> None:
     """Add a massless geom that touches nothing."""
     body.add_geom(
-        type=kind, size=size, pos=pos, rgba=[0.55, 0.6, 0.68, 1.0], contype=0, conaffinity=0, mass=0.0, group=1
+        type=kind,
+        size=size,
+        pos=pos,
+        rgba=[0.55, 0.6, 0.68, 1.0],
+        contype=0,
+        conaffinity=0,
+        mass=0.0,
+        group=1,
     )
 
 

@@ -1,0 +1,6 @@
+"""Online adaptation: what a controller senses and what it makes of it. Knows nothing of scenarios."""
+
+from jaxbiped.adapt.controller import Controller, ControllerState
+from jaxbiped.adapt.sensed import Sensed
+
+__all__ = ["Controller", "ControllerState", "Sensed"]

@@ -1,0 +1,31 @@
+"""What the robot's sensors give: all that a controller ever learns of the world."""
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float
+
+
+class Sensed(eqx.Module):
+    """One reading of every sensor."""
+
+    time: Float[Array, ""]
+    """Since the start of the walk [s]."""
+    switch: Bool[Array, "2 4"]
+    """Contact switches at the sole corners, closed or open."""
+    switch_time: Float[Array, "2 4"]
+    """When each switch last closed, interpolated inside the tick [s]; infinite if it never has."""
+    corner_force: Float[Array, "2 4"]
+    """Vertical force at each sole corner [N]."""
+    ankle_wrench: Float[Array, "2 6"]
+    """Force [N] and moment [N m] of the ground on each foot about the ankle centre, foot axes."""
+    angle: Float[Array, "2 6"]
+    """Joint angles [rad]."""
+    speed: Float[Array, "2 6"]
+    """Joint speeds [rad/s]."""
+    roll_pitch: Float[Array, "2"]
+    """Of the trunk [rad]."""
+    rate: Float[Array, "3"]
+    """Angular velocity of the trunk, trunk axes [rad/s]."""
+    zmp_world: Float[Array, "2"]
+    """Centre of the vertical ground forces [m]."""
+    zmp_body: Float[Array, "2"]
+    """The same seen from the pelvis, heading axes [m]."""

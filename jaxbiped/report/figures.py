@@ -1,0 +1,219 @@
+"""Figures of a planned walk: feet, pelvis, ZMP in its support, and what the walk asks of the robot.
+
+Every function takes what a planner gives, sampled over time (a leading axis), and returns a matplotlib
+Figure. No pyplot: nothing global is touched.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbiped.planner import SINGLE_SUPPORT, Feasibility, Phase, TaskSpace
+from jaxbiped.robot import SIDE_NAMES
+
+try:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+except ImportError as error:
+    raise ImportError("figures need matplotlib: pip install 'jaxbiped[viz]'") from error
+
+DPI = 120
+BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+"""Colors of Okabe and Ito (2008), which the color-blind can tell apart."""
+SIDE_COLORS = (BLUE, ORANGE)
+SIDE_DASHES = ("-", (0, (5, 1.6)))
+INK, FAINT = "#333333", "#8a8a8a"
+SINGLE_SUPPORT_SHADE = "#e9edf2"
+SUPPORT_FILL = "#cfe8df"
+SHADE_LABEL = "single support (white: double)"
+_AXIS_WORDS = ("forward, x", "lateral (left), y", "up, z")
+
+
+def feet(time: Any, task: TaskSpace, phase: Phase, title: str = "Feet") -> Figure:
+    """Draw both soles' x, y and z in the world over time (khadiv Fig. 6).
+
+    Args:
+        time: (n,) [s].
+        task: soles in the world with a leading axis n [m].
+        phase: phases with a leading axis n.
+        title: heading of the figure.
+    """
+    figure, panels = _panels(3, title, phase, time)
+    _draw_feet(panels, time, np.asarray(task.sole))
+    return _finish(figure, panels)
+
+
+def feet_in_body(time: Any, task: TaskSpace, phase: Phase, title: str = "Feet in the body frame") -> Figure:
+    """Draw both soles' x, y and z relative to the pelvis over time (elkahlout Fig. 3.2).
+
+    Args:
+        time: (n,), usually one cycle [s].
+        task: soles and pelvis in the world with a leading axis n [m].
+        phase: phases with a leading axis n.
+        title: heading of the figure.
+    """
+    figure, panels = _panels(3, title, phase, time)
+    _draw_feet(panels, time, np.asarray(task.sole) - np.asarray(task.pelvis)[:, None])
+    return _finish(figure, panels)
+
+
+def pelvis(time: Any, task: TaskSpace, phase: Phase, title: str = "Pelvis") -> Figure:
+    """Draw the pelvis' x, y and z in the world over time (khadiv Fig. 7).
+
+    Args:
+        time: (n,) [s].
+        task: pelvis in the world with a leading axis n [m].
+        phase: phases with a leading axis n.
+        title: heading of the figure.
+    """
+    figure, panels = _panels(3, title, phase, time)
+    for axis, axes in enumerate(panels):
+        axes.plot(time, np.asarray(task.pelvis)[:, axis], color=BLUE, label="pelvis")
+        axes.set_ylabel(f"{_AXIS_WORDS[axis]} [m]")
+    return _finish(figure, panels)
+
+
+def zmp(report: Feasibility, phase: Phase, axis: int, title: str = "ZMP") -> Figure:
+    """Draw the ZMP, the centre of mass and the edges of the support along one axis (khadiv Figs. 8 and 9).
+
+    Args:
+        report: what a gait takes, with a leading axis n.
+        phase: phases with a leading axis n.
+        axis: 0 forward, 1 lateral.
+        title: heading of the figure.
+    """
+    time = np.asarray(report.time)
+    lower, upper = np.asarray(report.support_lower)[:, axis], np.asarray(report.support_upper)[:, axis]
+    figure, panels = _panels(1, title, phase, time, height=4.6)
+    axes = panels[0]
+    axes.fill_between(time, lower, upper, step="mid", color=SUPPORT_FILL, alpha=0.75, lw=0, zorder=1)
+    for edge, label in ((lower, "_lower edge"), (upper, "edges of the support")):
+        axes.plot(time, edge, color=GREEN, lw=1.2, drawstyle="steps-mid", label=label)
+    axes.plot(time, np.asarray(report.com)[:, axis], color=FAINT, lw=1.2, ls=":", label="center of mass")
+    axes.plot(time, np.asarray(report.zmp)[:, axis], color=INK, label="ZMP")
+    axes.set_ylabel(f"{_AXIS_WORDS[axis]} [m]")
+    return _finish(figure, panels)
+
+
+def feasibility_page(report: Feasibility, phase: Phase, title: str = "Feasibility") -> Figure:
+    """Draw what a walk asks of the robot: ZMP margin, friction, torque and speed shares, bend of the knees.
+
+    Args:
+        report: what a gait takes, with a leading axis n.
+        phase: phases with a leading axis n.
+        title: heading of the figure.
+    """
+    time = np.asarray(report.time)
+    figure, panels = _panels(5, title, phase, time, height=9.6)
+    margin, friction, torque, speed, knee = panels
+    _draw_worst(margin, time, 1e3 * np.asarray(report.zmp_margin), "ZMP margin\n[mm]", np.min, "smallest")
+    _draw_worst(friction, time, np.asarray(report.friction), "friction needed\n[-]", np.max, "largest")
+    percent = ((torque, report.torque_share, "torque"), (speed, report.speed_share, "speed"))
+    for axes, share, word in percent:
+        _draw_worst(axes, time, 1e2 * np.asarray(share), f"joint {word}\n[% of limit]", np.max, "largest")
+    bend = np.degrees(np.asarray(report.knee))
+    for side, name in enumerate(SIDE_NAMES):
+        knee.plot(time, bend[:, side], color=SIDE_COLORS[side], ls=SIDE_DASHES[side], label=f"{name} knee")
+    knee.set_ylabel("knee bend\n[deg]")
+    knee.set_ylim(0.0, 1.08 * float(bend.max()))
+    return _finish(figure, panels)
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as a PNG and return its path."""
+    path = Path(path)
+    figure.savefig(path, dpi=DPI, format="png")
+    return path
+
+
+def _panels(
+    rows: int, title: str, phase: Phase, time: Any, height: float = 7.2
+) -> tuple[Figure, Sequence[Axes]]:
+    """Panels over one another with a common time axis, single support shaded."""
+    figure = Figure(figsize=(9.0, height), dpi=DPI, layout="constrained", facecolor="white")
+    grid = figure.subplots(rows, 1, sharex=True, squeeze=False)
+    panels = list(grid[:, 0])
+    figure.suptitle(title, fontsize=12, color=INK)
+    edges = _sample_edges(np.asarray(time))
+    for axes in panels:
+        _dress(axes)
+        _shade_single_support(axes, edges, np.asarray(phase.support))
+    panels[-1].set_xlabel("time [s]")
+    panels[0].set_xlim(float(edges[0]), float(edges[-1]))
+    return figure, panels
+
+
+def _sample_edges(time: np.ndarray) -> np.ndarray:
+    """The n + 1 borders between n samples, the outer ones half a sample beyond the first and the last."""
+    middles = 0.5 * (time[1:] + time[:-1])
+    return np.concatenate([[1.5 * time[0] - 0.5 * time[1]], middles, [1.5 * time[-1] - 0.5 * time[-2]]])
+
+
+def _dress(axes: Axes) -> None:
+    axes.grid(True, color="#c9ced6", lw=0.5, alpha=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(FAINT)
+    axes.tick_params(colors=INK, labelsize=9)
+
+
+def _shade_single_support(axes: Axes, edges: np.ndarray, support: np.ndarray) -> None:
+    """A band for every stretch of single support."""
+    single = np.concatenate([[False], support == SINGLE_SUPPORT, [False]])
+    starts, ends = (edges[np.flatnonzero(np.diff(single.astype(int)) == sign)] for sign in (1, -1))
+    for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        label = SHADE_LABEL if i == 0 else None
+        axes.axvspan(start, end, color=SINGLE_SUPPORT_SHADE, lw=0, zorder=0, label=label)
+
+
+def _draw_feet(panels: Sequence[Axes], time: Any, sole: np.ndarray) -> None:
+    for axis, axes in enumerate(panels):
+        for side, name in enumerate(SIDE_NAMES):
+            axes.plot(
+                time,
+                sole[:, side, axis],
+                color=SIDE_COLORS[side],
+                ls=SIDE_DASHES[side],
+                label=f"{name} foot",
+            )
+        axes.set_ylabel(f"{_AXIS_WORDS[axis]} [m]")
+
+
+def _draw_worst(axes: Axes, time: np.ndarray, values: np.ndarray, label: str, worst: Any, word: str) -> None:
+    """A curve and a line at its worst value; from zero up, or from below it if the curve goes there."""
+    extreme = float(worst(values))
+    axes.plot(time, values, color=INK, label="_nolegend_")
+    axes.axhline(extreme, color=ORANGE, lw=1.0, ls="--", label=f"{word} {extreme:.3g}")
+    axes.set_ylabel(label)
+    axes.set_ylim(1.08 * min(0.0, float(values.min())), 1.08 * float(values.max()))
+
+
+def _finish(figure: Figure, panels: Sequence[Axes]) -> Figure:
+    """One row of legend over every panel that has something new to say; and labels in line."""
+    said: set[str] = set()
+    for axes in panels:
+        entries = [(h, label) for h, label in zip(*axes.get_legend_handles_labels(), strict=True)]
+        entries = [entry for entry in entries if entry[1] not in said]
+        said |= {label for _, label in entries}
+        if entries:
+            handles, labels = zip(*entries, strict=True)
+            _legend_above(axes, handles, labels)
+    figure.align_ylabels(panels)
+    return figure
+
+
+def _legend_above(axes: Axes, handles: Sequence, labels: Sequence[str]) -> None:
+    axes.legend(
+        handles,
+        labels,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=len(labels),
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
+        borderaxespad=0.1,
+        handlelength=2.4,
+    )

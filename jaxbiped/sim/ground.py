@@ -1,0 +1,68 @@
+"""Compliant ground under the eight sole corners, outside MuJoCo's constraint solver.
+
+Normal force by Hunt and Crossley, N = k d max(0, 1 + a d'): continuous at touchdown and at lift-off, which is what
+makes derivatives through a touchdown mean something. Friction by Coulomb, regularised: mu N v / sqrt(v^2 + v_s^2).
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbiped.kinematics import GRAVITY
+from jaxbiped.robot import RobotParams
+from jaxbiped.sim.mjx_adapter import BodyMotion
+from jaxbiped.sim.scenario import Ground, Terrain
+
+EDGE_WIDTH = 0.004
+"""Width over which a rectangle's edge rises, so that forces are differentiable in its place [m]."""
+
+
+class Contact(eqx.Module):
+    """Ground forces at one instant."""
+
+    gap: Float[Array, "2 4"]
+    """Height of every sole corner over the ground under it [m]."""
+    gap_rate: Float[Array, "2 4"]
+    """Its rate, vertical velocity of the corner over level ground [m/s]."""
+    p_world_corner: Float[Array, "2 4 3"]
+    """[m]"""
+    v_world_corner: Float[Array, "2 4 3"]
+    """[m/s]"""
+    force: Float[Array, "2 4 3"]
+    """On the foot, world axes [N]."""
+
+
+def height(terrain: Terrain, xy: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
+    """Height of the ground at points (*n, 2) [m]; edges rise over EDGE_WIDTH, centred on the edge."""
+    point = xy[..., None, :]
+    into = jnp.minimum(point - terrain.lower, terrain.upper - point)
+    share = jnp.clip(into / EDGE_WIDTH + 0.5, 0.0, 1.0)
+    smooth = share * share * (3.0 - 2.0 * share)
+    return jnp.sum(terrain.height * smooth[..., 0] * smooth[..., 1], axis=-1)
+
+
+def stiffness(robot: RobotParams, ground: Ground) -> Float[Array, ""]:
+    """Stiffness of one corner [N/m] that gives the stated sinkage of the nominal robot on both feet."""
+    return robot.total_mass * GRAVITY / (8.0 * ground.sinkage)
+
+
+def contact(robot: RobotParams, ground: Ground, terrain: Terrain, body: BodyMotion) -> Contact:
+    """Gap, velocity and ground force of every sole corner."""
+    below_ankle = jnp.zeros(3, robot.ankle_height.dtype).at[2].set(-robot.ankle_height)
+    arms = jnp.einsum("fij,fcj->fci", body.rot_world_foot, robot.p_sole_corner + below_ankle)
+    points = body.p_world_foot[:, None] + arms
+    omega, linear = body.twist_foot[:, None, :3], body.twist_foot[:, None, 3:]
+    velocity = linear + jnp.cross(omega, points - body.centre)
+    gap = points[..., 2] - height(terrain, points[..., :2])
+    depth = jnp.maximum(-gap, 0.0)
+    normal = stiffness(robot, ground) * depth * jnp.maximum(1.0 - ground.damping * velocity[..., 2], 0.0)
+    sliding = velocity[..., :2]
+    speed = jnp.sqrt(jnp.sum(sliding * sliding, axis=-1, keepdims=True) + ground.slip_speed**2)
+    friction = -ground.friction * normal[..., None] * sliding / speed
+    return Contact(
+        gap=gap,
+        gap_rate=velocity[..., 2],
+        p_world_corner=points,
+        v_world_corner=velocity,
+        force=jnp.concatenate([friction, normal[..., None]], axis=-1),
+    )

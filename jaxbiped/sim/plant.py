@@ -1,0 +1,117 @@
+"""The simulated robot in one scenario: its masses over time, and the forces that act on it."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbiped.robot import RobotParams, Servo
+from jaxbiped.sim import ground, mjx_adapter, servo
+from jaxbiped.sim.mjx_adapter import PAYLOAD, TRUNK, BodyMotion
+from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.servo import Reference
+
+EXACT, THESIS = "exact", "thesis"
+PAYLOAD_MODELS = (EXACT, THESIS)
+
+BodyMasses = tuple[Float[Array, "15"], Float[Array, "15 3"], Float[Array, "15 3"]]
+
+
+class Plant(eqx.Module):
+    """What is simulated: constant in a walk."""
+
+    robot: RobotParams
+    """The robot as the planner knows it."""
+    model: Any
+    """Its MJX model."""
+    scenario: Scenario
+    """The world."""
+    servo: Servo
+    """The servos as they are, model errors included."""
+    before: BodyMasses
+    """Mass, centre of mass and principal inertias of the bodies without the payload."""
+    after: BodyMasses
+    """The same with it."""
+
+
+def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model: str = EXACT) -> Plant:
+    """Apply a scenario's model errors and payload to the nominal robot."""
+    before = _with_errors(mjx_adapter.masses(model), scenario)
+    attach = {EXACT: _attach_exact, THESIS: _attach_thesis}[payload_model]
+    scale = scenario.errors.gain_scale
+    servos = eqx.tree_at(
+        lambda s: (s.kp, s.kv, s.ki), robot.servo, tuple(scale * g for g in (robot.servo.kp, robot.servo.kv, robot.servo.ki))
+    )
+    return Plant(robot, model, scenario, servos, before, attach(before, scenario))
+
+
+def _with_errors(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
+    mass, com, inertia = masses
+    links = slice(TRUNK, TRUNK + 13)
+    scale = scenario.errors.mass_scale
+    return (
+        mass.at[links].multiply(scale),
+        com.at[TRUNK].add(scenario.errors.trunk_com_offset),
+        inertia.at[links].multiply(scale[:, None]),
+    )
+
+
+def _attach_exact(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
+    """Weld a uniform cube to the trunk; the parallel-axis theorem follows from the rigid-body dynamics."""
+    mass, com, inertia = masses
+    load = scenario.payload
+    return (
+        mass.at[PAYLOAD].set(load.mass),
+        com.at[PAYLOAD].set(load.place),
+        inertia.at[PAYLOAD].set(jnp.broadcast_to(load.mass * load.size**2 / 6.0, (3,))),
+    )
+
+
+def _attach_thesis(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
+    """The trunk's mass, centre of mass and inertia as in elkahlout Eqs. 3.8-3.10: no parallel-axis term."""
+    mass, com, inertia = masses
+    load = scenario.payload
+    total = mass[TRUNK] + load.mass
+    centre = (mass[TRUNK] * com[TRUNK] + load.mass * load.place) / total
+    return (
+        mass.at[TRUNK].set(total),
+        com.at[TRUNK].set(centre),
+        inertia.at[TRUNK].multiply(total / mass[TRUNK]),
+    )
+
+
+def body_motion(
+    plant: Plant, qpos: Float[Array, "19"], qvel: Float[Array, "18"], time: Float[Array, ""], dt: float
+) -> BodyMotion:
+    """Kinematics and dynamics at the masses of this tick; a load attached inside it counts for the rest of it."""
+    loaded = jnp.clip((time + dt - plant.scenario.payload.time) / dt, 0.0, 1.0)
+    now = [b + loaded * (a - b) for b, a in zip(plant.before, plant.after, strict=True)]
+    return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *now), qpos, qvel)
+
+
+def contact_force(body: BodyMotion, contact: ground.Contact) -> Float[Array, "18"]:
+    """Joint-space force of the ground."""
+    arm = contact.p_world_corner - body.centre
+    moment = jnp.cross(arm, contact.force).sum(axis=1)
+    return mjx_adapter.generalized_force(body, moment, contact.force.sum(axis=1))
+
+
+def push_force(plant: Plant, body: BodyMotion, time: Float[Array, ""], dt: float) -> Float[Array, "18"]:
+    """Joint-space force of the push, on the trunk's centre of mass; its ends count by their share of the tick."""
+    push = plant.scenario.push
+    overlap = jnp.minimum(time + dt, push.start + push.length) - jnp.maximum(time, push.start)
+    force = jnp.clip(overlap / dt, 0.0, 1.0) * push.force
+    point = body.p_world_trunk + body.rot_world_trunk @ plant.before[1][TRUNK]
+    return mjx_adapter.trunk_force(body, jnp.cross(point - body.centre, force), force)
+
+
+def servo_torque(
+    plant: Plant,
+    reference: Reference,
+    qpos: Float[Array, "19"],
+    qvel: Float[Array, "18"],
+    integral: Float[Array, "2 6"],
+) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"]]:
+    """Joint torques and the damping still owed, see `servo.torque`."""
+    return servo.torque(plant.servo, reference, qpos[7:].reshape(2, 6), qvel[6:].reshape(2, 6), integral)

@@ -1,0 +1,290 @@
+"""One walk: start from rest on the ground, tick by tick, to statistics and, if asked for, a trace.
+
+A control tick is `control_every` physics ticks under one servo reference, then a reading of the sensors, one step of
+the controller and inverse kinematics. Everything here is one robot in one scenario; batches are made outside by vmap.
+"""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbiped.adapt import Controller, ControllerState
+from jaxbiped.kinematics import joint_angles
+from jaxbiped.planner import Targets, TaskSpace, at
+from jaxbiped.robot import RobotParams
+from jaxbiped.sim import equilibrium, feed_forward, ground, mjx_adapter, plant, sensors, statistics
+from jaxbiped.sim.feed_forward import FeedForward
+from jaxbiped.sim.ground import Contact
+from jaxbiped.sim.mjx_adapter import BodyMotion
+from jaxbiped.sim.plant import PAYLOAD_MODELS, Plant
+from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.sensors import SwitchState
+from jaxbiped.sim.servo import Reference
+from jaxbiped.sim.statistics import Statistics
+
+
+class Options(eqx.Module):
+    """Choices made when a roll-out is built; another choice is another compilation."""
+
+    dt: float = eqx.field(static=True, default=5e-4)
+    """Physics tick [s]."""
+    control_every: int = eqx.field(static=True, default=4)
+    """Physics ticks in a control tick."""
+    feed_forward: bool = eqx.field(static=True, default=True)
+    """Add the plan's inverse dynamics to the servos' torque."""
+    payload_model: str = eqx.field(static=True, default=plant.EXACT)
+    """`exact` (welded cube) or `thesis` (elkahlout Eqs. 3.8-3.10)."""
+    trace_every: int = eqx.field(static=True, default=0)
+    """Control ticks between two samples of the trace; 0 for no trace."""
+
+    def __check_init__(self) -> None:
+        """Refuse what cannot be simulated."""
+        if not 0.0 < self.dt <= 0.01:
+            raise ValueError(f"dt: got {self.dt:g} s, allowed: > 0 and <= 0.01 s")
+        if self.control_every < 1 or self.trace_every < 0:
+            raise ValueError(
+                f"control_every, trace_every: got {self.control_every}, {self.trace_every}, allowed: >= 1 and >= 0"
+            )
+        if self.payload_model not in PAYLOAD_MODELS:
+            raise ValueError(f"payload_model: got {self.payload_model!r}, allowed: {', '.join(PAYLOAD_MODELS)}")
+
+    @property
+    def control_dt(self) -> float:
+        """Control tick [s]."""
+        return self.dt * self.control_every
+
+
+class Physics(eqx.Module):
+    """What the physics carries from tick to tick."""
+
+    tick: Int[Array, ""]
+    """Physics ticks done."""
+    qpos: Float[Array, "19"]
+    qvel: Float[Array, "18"]
+    integral: Float[Array, "2 6"]
+    """Integral of the servos' position errors [rad s]."""
+    switches: SwitchState
+    statistics: Statistics
+
+
+class State(eqx.Module):
+    """What a roll-out carries from control tick to control tick."""
+
+    physics: Physics
+    controller: ControllerState
+    reference: Reference
+    zmp: Float[Array, "2"]
+    """Centre of pressure, the last one while a foot was loaded [m]."""
+
+
+class Sample(eqx.Module):
+    """One row of a trace; with a leading axis, the trace."""
+
+    time: Float[Array, "*n"]
+    """[s]"""
+    p_world_trunk: Float[Array, "*n 3"]
+    """Pelvis frame origin [m]."""
+    roll_pitch_yaw: Float[Array, "*n 3"]
+    """Of the trunk [rad]."""
+    p_world_sole: Float[Array, "*n 2 3"]
+    """Origins of the sole frames [m]."""
+    foot_force: Float[Array, "*n 2 3"]
+    """Ground force on each foot, world axes [N]."""
+    zmp_world: Float[Array, "*n 2"]
+    """Centre of pressure [m]."""
+    switch: Bool[Array, "*n 2 4"]
+    """Contact switches."""
+    torque: Float[Array, "*n 2 6"]
+    """Joint torques [N m]."""
+    qpos: Float[Array, "*n 19"]
+    """MuJoCo coordinates, for replay and drawing."""
+    targets: Targets
+    """What the controller asked for."""
+
+
+class Walk(eqx.Module):
+    """Result of a roll-out."""
+
+    statistics: Statistics
+    trace: Sample | None
+
+
+def rollout(
+    robot: RobotParams,
+    controller: Controller,
+    scenario: Scenario,
+    duration: float,
+    options: Options | None = None,
+) -> Walk:
+    """Walk one robot in one scenario for `duration` [s]; compiled once per shapes and options."""
+    if not duration > 0.0:
+        raise ValueError(f"duration: got {duration:g} s, allowed: > 0 s")
+    model = mjx_adapter.base_model(robot)
+    return _compiled(robot, model, controller, scenario, float(duration), options or Options())
+
+
+@eqx.filter_jit
+def _compiled(
+    robot: RobotParams, model: Any, controller: Controller, scenario: Scenario, duration: float, options: Options
+) -> Walk:
+    torque = make_feed_forward(robot, controller, duration, options)
+    return simulate(robot, model, controller, scenario, torque, duration, options)
+
+
+def make_feed_forward(robot: RobotParams, controller: Controller, duration: float, options: Options) -> FeedForward:
+    """The table of feed-forward torques of a walk; it depends on robot and gait, not on the scenario."""
+    if not options.feed_forward:
+        return feed_forward.none()
+    return feed_forward.plan(robot, controller.gait, duration)
+
+
+def simulate(
+    robot: RobotParams,
+    model: Any,
+    controller: Controller,
+    scenario: Scenario,
+    torque: FeedForward,
+    duration: float,
+    options: Options,
+) -> Walk:
+    """The roll-out itself, pure: to be mapped over scenarios and differentiated."""
+    world = plant.make_plant(robot, model, scenario, options.payload_model)
+    state = _start(world, controller, torque)
+    ticks = round(duration / options.control_dt)
+    step = functools.partial(_control_tick, world, controller, torque, options)
+    if options.trace_every == 0:
+        state, _ = jax.lax.scan(lambda s, _: (step(s)[0], None), state, None, length=ticks)
+        return Walk(state.physics.statistics, None)
+
+    def record(s: State, _: None) -> tuple[State, Sample]:
+        s, _ = jax.lax.scan(lambda r, _: (step(r)[0], None), s, None, length=options.trace_every - 1)
+        return step(s)
+
+    state, trace = jax.lax.scan(record, state, None, length=ticks // options.trace_every)
+    return Walk(state.physics.statistics, trace)
+
+
+def _start(world: Plant, controller: Controller, torque: FeedForward) -> State:
+    """Standing still at t = 0, servos settled, feet loaded."""
+    targets = at(controller.gait, 0.0)
+    reference = _reference(world.robot, targets, torque)[0]
+    qpos = equilibrium.standing(world, targets.position, reference)
+    qvel = jnp.zeros(mjx_adapter.NV, qpos.dtype)
+    body = plant.body_motion(world, qpos, qvel, jnp.zeros((), qpos.dtype), 1e-3)
+    touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, body)
+    physics = Physics(
+        tick=jnp.zeros((), jnp.int32),
+        qpos=qpos,
+        qvel=qvel,
+        integral=jnp.zeros((2, 6), qpos.dtype),
+        switches=sensors.init_switches(touch.gap, world.scenario.sensors),
+        statistics=statistics.init(body),
+    )
+    zmp = sensors.centre_of_pressure(touch, body.p_world_trunk[:2])
+    return State(physics, controller.init(), reference, zmp)
+
+
+def _control_tick(
+    world: Plant, controller: Controller, torque: FeedForward, options: Options, state: State
+) -> tuple[State, Sample]:
+    """Move the physics, read the sensors, step the controller, turn its targets into a servo reference."""
+    physics, (body, touch, applied) = _physics_ticks(world, options, state)
+    time = physics.tick * options.dt
+    zmp = sensors.centre_of_pressure(touch, state.zmp)
+    angle = physics.qpos[7:].reshape(2, 6)
+    sensed = sensors.sense(body, touch, physics.qvel, angle, physics.switches, zmp, time)
+    controller_state, targets = controller.step(state.controller, sensed)
+    reference, status = _reference(world.robot, targets, torque)
+    physics = _count_out_of_reach(physics, status, options)
+    new = State(physics, controller_state, reference, zmp)
+    new = _frozen(state.physics.statistics.status != statistics.OK, state, new)
+    return new, _sample(world, new, body, touch, applied, targets, time)
+
+
+def _physics_ticks(
+    world: Plant, options: Options, state: State
+) -> tuple[Physics, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
+    """`control_every` physics ticks; also what the last one saw at its start."""
+
+    def tick(carry: tuple[Physics, Reference], _: None):
+        physics, reference = carry
+        physics, seen = _physics_tick(world, options.dt, reference, physics)
+        return (physics, reference.later(options.dt)), seen
+
+    if options.control_every == 1:
+        return _physics_tick(world, options.dt, state.reference, state.physics)
+    carry = (state.physics, state.reference)
+    (physics, _), seen = jax.lax.scan(tick, carry, None, length=options.control_every)
+    return physics, jax.tree.map(lambda leaf: leaf[-1], seen)
+
+
+def _physics_tick(
+    world: Plant, dt: float, reference: Reference, state: Physics
+) -> tuple[Physics, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
+    """Forces at the start of the tick, then semi-implicit Euler."""
+    time = state.tick * dt
+    body = plant.body_motion(world, state.qpos, state.qvel, time, dt)
+    touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, body)
+    torque, damping = plant.servo_torque(world, reference, state.qpos, state.qvel, state.integral)
+    force = plant.contact_force(body, touch) + plant.push_force(world, body, time, dt) - body.bias
+    force = force.at[6:].add(torque.reshape(-1))
+    owed = jnp.concatenate([jnp.zeros(6, damping.dtype), dt * damping.reshape(-1)])
+    qvel = state.qvel + dt * mjx_adapter.solve(body.mass_matrix + jnp.diag(owed), force)
+    new = Physics(
+        tick=state.tick + 1,
+        qpos=mjx_adapter.integrate(world.model, state.qpos, qvel, dt),
+        qvel=qvel,
+        integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
+        switches=sensors.read_switches(state.switches, touch.gap, time, dt, world.scenario.sensors),
+        statistics=statistics.update(state.statistics, body, touch, time + dt),
+    )
+    return _frozen(state.statistics.status != statistics.OK, state, new), (body, touch, torque)
+
+
+def _frozen(stop: Bool[Array, ""], old: Any, new: Any) -> Any:
+    """A lane that has failed stays as it was; the others live."""
+    return jax.tree.map(lambda a, b: jnp.where(stop, a, b), old, new)
+
+
+def _reference(robot: RobotParams, targets: Targets, torque: FeedForward) -> tuple[Reference, Int[Array, "2"]]:
+    """Inverse kinematics of the targets and their velocities, and the status of each leg."""
+
+    def angles(task: TaskSpace) -> tuple[Float[Array, "2 6"], Int[Array, "2"]]:
+        return joint_angles(robot, task.sole - task.pelvis)
+
+    angle, speed, status = jax.jvp(angles, (targets.position,), (targets.velocity,), has_aux=True)
+    return Reference(angle, speed, torque.at(targets.time)), status
+
+
+def _count_out_of_reach(physics: Physics, status: Int[Array, "2"], options: Options) -> Physics:
+    stats = physics.statistics
+    more = stats.out_of_reach_time + jnp.where(jnp.any(status != 0), options.control_dt, 0.0)
+    return eqx.tree_at(lambda p: p.statistics.out_of_reach_time, physics, more)
+
+
+def _sample(
+    world: Plant,
+    state: State,
+    body: BodyMotion,
+    touch: Contact,
+    torque: Float[Array, "2 6"],
+    targets: Targets,
+    time: Float[Array, ""],
+) -> Sample:
+    below = world.robot.ankle_height * body.rot_world_foot[:, :, 2]
+    return Sample(
+        time=time,
+        p_world_trunk=body.p_world_trunk,
+        roll_pitch_yaw=sensors.roll_pitch_yaw(body.rot_world_trunk),
+        p_world_sole=body.p_world_foot - below,
+        foot_force=touch.force.sum(axis=1),
+        zmp_world=state.zmp,
+        switch=state.physics.switches.closed,
+        torque=torque,
+        qpos=state.physics.qpos,
+        targets=targets,
+    )

@@ -1,0 +1,52 @@
+"""Joint servos: PD on position and speed references, optional integral and feed-forward, torque and speed limits.
+
+The speed-proportional part acts on the speed at the end of the tick (implicitly): explicit integration would make it
+chatter. `torque` returns what acts with the speed at the start of the tick, and the damping the integrator must add to
+the mass matrix to move it to the end.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbiped.robot import Servo
+
+
+class Reference(eqx.Module):
+    """What the servos are told."""
+
+    angle: Float[Array, "2 6"]
+    """[rad]"""
+    speed: Float[Array, "2 6"]
+    """[rad/s]"""
+    feed_forward: Float[Array, "2 6"]
+    """Torque added to the servo's own [N m]."""
+
+    def later(self, dt: Float[Array, ""] | float) -> "Reference":
+        """The same reference `dt` seconds on, at constant speed."""
+        return Reference(self.angle + dt * self.speed, self.speed, self.feed_forward)
+
+
+def torque(
+    servo: Servo,
+    reference: Reference,
+    angle: Float[Array, "2 6"],
+    speed: Float[Array, "2 6"],
+    integral: Float[Array, "2 6"],
+) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"]]:
+    """Joint torques [N m] and the damping [N m s/rad] the integrator owes them.
+
+    Beyond the torque limit the torque is constant and has no damping. Beyond the speed limit the motor cannot push any
+    further: the torque that would speed the joint up fades out over a tenth of the limit.
+    """
+    wanted_speed = jnp.clip(reference.speed, -servo.speed_limit, servo.speed_limit)
+    free = (
+        servo.kp * (reference.angle - angle)
+        + servo.kv * (wanted_speed - speed)
+        + servo.ki * integral
+        + reference.feed_forward
+    )
+    limited = jnp.clip(free, -servo.torque_limit, servo.torque_limit)
+    left = jnp.clip(11.0 - 10.0 * jnp.abs(speed) / servo.speed_limit, 0.0, 1.0)
+    applied = jnp.where(limited * speed > 0.0, left * limited, limited)
+    return applied, jnp.where(jnp.abs(free) < servo.torque_limit, servo.kv, 0.0)

@@ -1,0 +1,199 @@
+"""The console command, run in process: what it writes, what it says, and how it refuses."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import mujoco
+import pytest
+
+from jaxbiped import cli, robot
+from jaxbiped.report import figures
+
+FIGURES = {
+    "khadiv_fig6_feet.png",
+    "khadiv_fig7_pelvis.png",
+    "khadiv_fig8_zmp_x.png",
+    "khadiv_fig9_zmp_y.png",
+    "surena3_feasibility.png",
+    "elkahlout_fig3_2_feet.png",
+    "elkahlout_zmp_x.png",
+    "elkahlout_zmp_y.png",
+    "elkahlout_feasibility.png",
+}
+
+
+def test_demo_draws_both_walks_and_says_how_feasible_they_are(tmp_path, capsys):
+    out = tmp_path / "new" / "folder"
+    assert cli.main(["demo", "--out", str(out), "--json"]) == cli.OK
+    said, complained = capsys.readouterr()
+    assert complained == ""
+
+    assert {file.name for file in out.iterdir()} == FIGURES
+    for file in out.iterdir():
+        assert file.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+        assert file.stat().st_size > 10_000
+
+    result = json.loads(said.splitlines()[-1])
+    assert {Path(file).name for file in result["files"]} == FIGURES
+    assert result["walks"].keys() == {"surena3", "elkahlout"}
+    for name, walk in result["walks"].items():
+        assert walk["robot"] == name
+        assert walk["in_reach"]
+        assert walk["zmp_margin_min_m"] > 0.001
+        assert 0.0 < walk["friction_max"] < 0.3
+        assert 0.0 < walk["torque_share_max"] < 1.0
+        assert 0.0 < walk["speed_share_max"] < 1.0
+        assert walk["knee_bend_min_rad"] > 0.2
+        assert f"{1e3 * walk['zmp_margin_min_m']:.1f} mm" in said
+    assert result["walks"]["surena3"]["zmp_margin_min_m"] > 0.07
+
+
+@pytest.mark.parametrize("name", robot.presets())
+def test_export_writes_a_model_that_mujoco_loads(name, tmp_path, capsys):
+    out = tmp_path / "models" / "robot.xml"
+    assert cli.main(["export", "--robot", name, "--out", str(out), "--json"]) == cli.OK
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert result == {
+        "robot": name,
+        "mass_kg": pytest.approx(float(robot.load(name).total_mass), abs=1e-3),
+        "file": str(out),
+    }
+    model = mujoco.MjModel.from_xml_path(str(out))
+    assert (model.nv, model.nu) == (18, 12)
+    assert sum(model.body_mass) == pytest.approx(result["mass_kg"], abs=1e-3)
+
+
+def test_export_takes_a_robot_file(tmp_path):
+    preset = Path(robot.__file__).parent / "presets" / "surena3.toml"
+    mine = tmp_path / "mine.toml"
+    mine.write_text(preset.read_text(encoding="utf-8").replace('name = "surena3"', 'name = "mine"'))
+    assert cli.main(["export", "--robot", str(mine), "--out", str(tmp_path / "mine.xml")]) == cli.OK
+    assert "mine" in (tmp_path / "mine.xml").read_text(encoding="utf-8")
+
+
+def refused(capsys, *args: str) -> str:
+    """Run with bad input; returns the one line on stderr."""
+    assert cli.main([*args]) == cli.BAD_INPUT
+    said, complained = capsys.readouterr()
+    assert said == ""
+    assert complained.endswith("\n") and complained.count("\n") == 1, complained
+    assert not set("╭╮╰╯│─") & set(complained)
+    return complained
+
+
+@pytest.fixture
+def a_file(tmp_path) -> Path:
+    file = tmp_path / "a_file"
+    file.touch()
+    return file
+
+
+def test_unknown_robot_is_refused(capsys, tmp_path):
+    line = refused(capsys, "export", "--robot", "surena4", "--out", str(tmp_path / "x.xml"))
+    assert "--robot" in line and "'surena4'" in line and "elkahlout, surena3" in line and ".toml" in line
+    assert not (tmp_path / "x.xml").exists()
+
+
+def test_broken_robot_file_is_refused_with_the_field(capsys, tmp_path):
+    preset = Path(robot.__file__).parent / "presets" / "surena3.toml"
+    broken = tmp_path / "broken.toml"
+    text = preset.read_text(encoding="utf-8")
+    broken.write_text(text.replace("thigh_length = { value = 0.360", "thigh_length = { value = -0.360"))
+    line = refused(capsys, "export", "--robot", str(broken), "--out", str(tmp_path / "x.xml"))
+    assert "--robot" in line and "geometry.thigh_length" in line and "-0.36 m" in line and "> 0" in line
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"name = ", b""])
+def test_robot_file_that_is_no_toml_is_refused(capsys, tmp_path, content):
+    broken = tmp_path / "broken.toml"
+    broken.write_bytes(content)
+    line = refused(capsys, "export", "--robot", str(broken), "--out", str(tmp_path / "x.xml"))
+    assert "--robot" in line and "broken.toml" in line
+
+
+@pytest.mark.parametrize("below", ["", "folder", "folder/deeper"])
+def test_demo_into_a_file_or_below_one_is_refused(capsys, a_file, below):
+    out = a_file / below
+    line = refused(capsys, "demo", "--out", str(out))
+    assert "--out" in line and f"'{out}'" in line and "allowed: a folder" in line
+
+
+def test_export_below_a_file_is_refused(capsys, a_file):
+    out = a_file / "robot.xml"
+    line = refused(capsys, "export", "--robot", "surena3", "--out", str(out))
+    assert "--out" in line and f"'{out}'" in line and "allowed: a file" in line
+
+
+@pytest.mark.parametrize("name", ["robot", "robot.txt", "folder.xml"])
+def test_export_to_something_else_than_an_xml_file_is_refused(capsys, tmp_path, name):
+    (tmp_path / "folder.xml").mkdir()
+    line = refused(capsys, "export", "--robot", "surena3", "--out", str(tmp_path / name))
+    assert "--out" in line and name in line and ".xml" in line
+
+
+def test_folder_without_write_permission_is_refused(capsys, tmp_path):
+    folder = tmp_path / "locked"
+    folder.mkdir(mode=0o500)
+    if os.access(folder, os.W_OK):
+        pytest.skip("this user may write anywhere")
+    for out in (folder, folder / "deeper"):
+        assert f"'{out}'" in refused(capsys, "demo", "--out", str(out))
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        ((), ("demo", "export")),
+        (("dance",), ("dance", "demo, export")),
+        (("demo", "--speed", "3"), ("--speed",)),
+        (("demo", "--out"), ("--out",)),
+        (("export", "--robot", "surena3"), ("--out", "required")),
+    ],
+)
+def test_wrong_arguments_are_refused_in_one_line(capsys, args, says):
+    line = refused(capsys, *args)
+    assert all(word in line for word in says), line
+
+
+@pytest.mark.parametrize("args", [("--help",), ("demo", "--help"), ("export", "--help")])
+def test_help_is_no_error(capsys, args):
+    assert cli.main([*args]) == cli.OK
+    said, complained = capsys.readouterr()
+    assert "usage: jaxbiped" in said and complained == ""
+
+
+def test_without_matplotlib_the_demo_says_what_to_install(capsys, monkeypatch, tmp_path):
+    def missing():
+        raise ImportError("figures need matplotlib: pip install 'jaxbiped[viz]'")
+
+    monkeypatch.setattr(cli, "_figures", missing)
+    assert cli.main(["demo", "--out", str(tmp_path)]) == cli.FAILED
+    assert capsys.readouterr().err == "jaxbiped: figures need matplotlib: pip install 'jaxbiped[viz]'\n"
+
+
+def test_cache_stays_where_the_user_put_it():
+    before = jax.config.values["jax_compilation_cache_dir"]
+    assert before is not None
+    cli._keep_compiled_kernels()
+    assert jax.config.values["jax_compilation_cache_dir"] == before
+
+
+def test_installed_command_gives_the_exit_code():
+    command = Path(sys.executable).with_name("jaxbiped")
+    done = subprocess.run([command, "export", "--robot", "nobody", "--out", "x.xml"], capture_output=True)
+    assert done.returncode == cli.BAD_INPUT and b"'nobody'" in done.stderr
+
+
+def test_axes_of_the_thesis_cycle_begin_at_its_own_zero():
+    """The drawn cycle runs over the thesis' time, 0 to 2 (t_ss + t_ds)."""
+    from jaxbiped import planner
+
+    gait = planner.CosineGait.preset(robot.load("elkahlout"), cli.N_STEPS)
+    time, targets = cli._cycle(gait)
+    figure = figures.feet_in_body(time, targets.position, targets.phase)
+    x = figure.axes[0].get_lines()[0].get_xdata()
+    assert x[0] == 0.0 and x[-1] == pytest.approx(4.8)
