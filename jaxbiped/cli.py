@@ -15,6 +15,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -175,10 +176,10 @@ def _draw_elkahlout(figures: ModuleType, walk: Walk) -> dict[str, Any]:
     }
 
 
-def _cycle(gait: Any, samples: int = 961) -> tuple[np.ndarray, planner.Targets]:
+def _cycle(gait: Any, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]:
     """One cycle of the cosine gait over the thesis' own time [s], which begins T_ini after the start."""
     time = np.linspace(0.0, 2.0 * float(gait.params.T_c), samples)
-    return time, _targets(gait, jax.numpy.asarray(time) + gait.params.T_ini)
+    return time, _targets(gait, jnp.asarray(time) + gait.params.T_ini)
 
 
 def _summary(walk: Walk) -> dict[str, Any]:

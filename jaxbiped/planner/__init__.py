@@ -6,7 +6,16 @@ from jaxbiped.planner.cosine_gait import CosineGait, CosineParams
 from jaxbiped.planner.feasibility import Feasibility, feasibility, sample_times
 from jaxbiped.planner.polynomial_gait import PolynomialGait, PolynomialParams, StartStop
 from jaxbiped.planner.presets import cosine_params, polynomial_params
-from jaxbiped.planner.targets import DOUBLE_SUPPORT, SINGLE_SUPPORT, Gait, Phase, Targets, TaskSpace, at
+from jaxbiped.planner.targets import (
+    DOUBLE_SUPPORT,
+    SINGLE_SUPPORT,
+    Gait,
+    Phase,
+    Targets,
+    TaskSpace,
+    Timing,
+    at,
+)
 
 __all__ = [
     "DOUBLE_SUPPORT",
@@ -22,6 +31,7 @@ __all__ = [
     "StartStop",
     "Targets",
     "TaskSpace",
+    "Timing",
     "at",
     "cosine_params",
     "feasibility",

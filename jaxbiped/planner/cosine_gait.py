@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxbiped.planner.checks import GaitError, is_concrete, require, require_reach
 from jaxbiped.planner.polynomial import Polynomial, quintic
-from jaxbiped.planner.targets import Phase, TaskSpace, step_phase
+from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
@@ -104,6 +104,12 @@ class CosineGait(eqx.Module):
         p = self.params
         return p.T_ini + self.n_steps * p.T_c + p.T_end
 
+    @property
+    def timing(self) -> Timing:
+        """When the steps are."""
+        p = self.params
+        return Timing(p.T_ini + 0.5 * p.t_ds, p.t_ss, p.T_c, self.n_steps, self.first_swing)
+
     def task(self, t: Scalar) -> TaskSpace:
         """Soles and pelvis in the world at time t [s]; sole minus pelvis is elkahlout Eqs. 3.1-3.6."""
         p, phase = self.params, self.phase(t)
@@ -125,8 +131,7 @@ class CosineGait(eqx.Module):
 
     def phase(self, t: Scalar) -> Phase:
         """Phase of the walk at time t [s]."""
-        p = self.params
-        return step_phase(t, p.T_ini + 0.5 * p.t_ds, p.t_ss, p.T_c, self.n_steps, self.first_swing)
+        return step_phase(self.timing, t)
 
     def _sway(self, t: Scalar) -> Scalar:
         p = self.params

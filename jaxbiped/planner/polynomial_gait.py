@@ -28,7 +28,7 @@ from jaxbiped.planner.polynomial import (
     shift,
     spline_slopes,
 )
-from jaxbiped.planner.targets import Phase, TaskSpace, step_phase
+from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
 from jaxbiped.robot import LEFT, RIGHT, SIDE_NAMES, RobotParams
 
 Scalar = Float[Array, ""]
@@ -224,6 +224,12 @@ class PolynomialGait(eqx.Module):
         """From rest to rest [s]."""
         return self.pelvis_x.breaks[-1]
 
+    @property
+    def timing(self) -> Timing:
+        """When the steps are."""
+        p = self.params
+        return Timing(p.T_ini, p.T_s, p.T_c, self.n_steps, self.first_swing)
+
     def task(self, t: Scalar) -> TaskSpace:
         """Soles and pelvis in the world at time t [s]."""
         p, phase = self.params, self.phase(t)
@@ -245,8 +251,7 @@ class PolynomialGait(eqx.Module):
 
     def phase(self, t: Scalar) -> Phase:
         """Phase of the walk at time t [s]."""
-        p = self.params
-        return step_phase(t, p.T_ini, p.T_s, p.T_c, self.n_steps, self.first_swing)
+        return step_phase(self.timing, t)
 
 
 def _require_sane(robot: RobotParams, p: PolynomialParams) -> None:

@@ -34,21 +34,38 @@ class Phase(eqx.Module):
     """Time since the lift-off of this step [s]; negative before the first one."""
 
 
-def step_phase(
-    t: Float[Array, ""],
-    first_liftoff: Float[Array, ""],
-    T_s: Float[Array, ""],
-    T_c: Float[Array, ""],
-    n_steps: int,
-    first_swing: int,
-) -> Phase:
-    """Phase at time t of a walk whose steps (T_s single support, T_c in all) begin at `first_liftoff` [s]."""
-    step = jnp.clip(jnp.floor((t - first_liftoff) / T_c), 0, n_steps - 1).astype(jnp.int32)
-    since_liftoff = t - first_liftoff - step * T_c
+class Timing(eqx.Module):
+    """When the steps of a walk are."""
+
+    first_liftoff: Float[Array, ""]
+    """[s]"""
+    T_s: Float[Array, ""]
+    """Duration of single support [s]."""
+    T_c: Float[Array, ""]
+    """Duration of a step [s]."""
+    n_steps: int = eqx.field(static=True)
+    """Number of steps."""
+    first_swing: int = eqx.field(static=True)
+    """The foot that swings first, 0 left or 1 right."""
+
+    def liftoff(self, step: int | Int[Array, ""]) -> Float[Array, ""]:
+        """Lift-off of a step [s]."""
+        return self.first_liftoff + step * self.T_c
+
+    def touchdown(self, step: int | Int[Array, ""]) -> Float[Array, ""]:
+        """Planned touchdown of a step [s]."""
+        return self.liftoff(step) + self.T_s
+
+
+def step_phase(timing: Timing, t: Float[Array, ""]) -> Phase:
+    """Phase at time t [s]."""
+    T_s, last = timing.T_s, timing.n_steps - 1
+    step = jnp.clip(jnp.floor((t - timing.first_liftoff) / timing.T_c), 0, last).astype(jnp.int32)
+    since_liftoff = t - timing.liftoff(step)
     standing, single = since_liftoff < 0.0, (since_liftoff >= 0.0) & (since_liftoff < T_s)
     return Phase(
         step=step,
-        swing=(first_swing + step) % 2,
+        swing=(timing.first_swing + step) % 2,
         support=jnp.where(single, SINGLE_SUPPORT, DOUBLE_SUPPORT),
         time_in_phase=jnp.where(standing, t, jnp.where(single, since_liftoff, since_liftoff - T_s)),
         time_since_liftoff=since_liftoff,
@@ -72,11 +89,16 @@ class Targets(eqx.Module):
 
 @runtime_checkable
 class Gait(Protocol):
-    """A planned walk: two functions of time, for any time, under jit."""
+    """A planned walk: functions of time, for any time, under jit."""
 
     @property
     def duration(self) -> Float[Array, ""]:
         """From rest to rest [s]."""
+        ...
+
+    @property
+    def timing(self) -> Timing:
+        """When the steps are."""
         ...
 
     def task(self, t: Float[Array, ""]) -> TaskSpace:

@@ -35,7 +35,9 @@ def standing(plant: Plant, task: TaskSpace, reference: Reference) -> Float[Array
         torque = plant.servo.kp * (reference.angle - qpos[7:].reshape(2, 6)) + reference.feed_forward
         force = contact_force(body, touch) - body.bias
         force = force.at[6:].add(torque.reshape(-1)).at[_HELD].set(0.0)
-        rows = jax.vmap(jax.vmap(_lift, (None, 0, None)), (None, 0, 0))(body, touch.p_world_corner, jnp.arange(2))
+        rows = jax.vmap(jax.vmap(_lift, (None, 0, None)), (None, 0, 0))(
+            body, touch.p_world_corner, jnp.arange(2)
+        )
         pressed = jnp.where(touch.gap < 0.0, stiffness, 0.0)
         matrix = jnp.einsum("fc,fci,fcj->ij", pressed, rows, rows)
         springs = jnp.concatenate([jnp.full(6, 1.0, sunk.dtype), plant.servo.kp.reshape(-1)])

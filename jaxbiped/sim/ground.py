@@ -2,6 +2,8 @@
 
 Normal force by Hunt and Crossley, N = k d max(0, 1 + a d'): continuous at touchdown and at lift-off, which is what
 makes derivatives through a touchdown mean something. Friction by Coulomb, regularised: mu N v / sqrt(v^2 + v_s^2).
+Friction is stiff, mu N / v_s per unit of speed: it acts on the velocity at the end of the tick (`drag_matrix`); explicit
+integration would let the feet creep.
 """
 
 import equinox as eqx
@@ -10,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxbiped.kinematics import GRAVITY
 from jaxbiped.robot import RobotParams
+from jaxbiped.sim import mjx_adapter
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.scenario import Ground, Terrain
 
@@ -29,7 +32,9 @@ class Contact(eqx.Module):
     v_world_corner: Float[Array, "2 4 3"]
     """[m/s]"""
     force: Float[Array, "2 4 3"]
-    """On the foot, world axes [N]."""
+    """On the foot, world axes, at the velocity of the start of the tick [N]."""
+    drag: Float[Array, "2 4"]
+    """Friction force per sliding speed [N s/m]."""
 
 
 def height(terrain: Terrain, xy: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
@@ -57,12 +62,26 @@ def contact(robot: RobotParams, ground: Ground, terrain: Terrain, body: BodyMoti
     depth = jnp.maximum(-gap, 0.0)
     normal = stiffness(robot, ground) * depth * jnp.maximum(1.0 - ground.damping * velocity[..., 2], 0.0)
     sliding = velocity[..., :2]
-    speed = jnp.sqrt(jnp.sum(sliding * sliding, axis=-1, keepdims=True) + ground.slip_speed**2)
-    friction = -ground.friction * normal[..., None] * sliding / speed
+    speed = jnp.sqrt(jnp.sum(sliding * sliding, axis=-1) + ground.slip_speed**2)
+    drag = ground.friction * normal / speed
     return Contact(
         gap=gap,
         gap_rate=velocity[..., 2],
         p_world_corner=points,
         v_world_corner=velocity,
-        force=jnp.concatenate([friction, normal[..., None]], axis=-1),
+        force=jnp.concatenate([-drag[..., None] * sliding, normal[..., None]], axis=-1),
+        drag=drag,
     )
+
+
+def drag_matrix(body: BodyMotion, contact: Contact) -> Float[Array, "18 18"]:
+    """Joint-space damping of the friction forces [qfrc per qvel]."""
+    r = contact.p_world_corner - body.centre
+    zero, one = jnp.zeros_like(r[..., 0]), jnp.ones_like(r[..., 0])
+    along_x = jnp.stack([zero, r[..., 2], -r[..., 1], one, zero, zero], axis=-1)
+    along_y = jnp.stack([-r[..., 2], zero, r[..., 0], zero, one, zero], axis=-1)
+    rows = jnp.concatenate([along_x, along_y], axis=1)
+    drag = jnp.concatenate([contact.drag, contact.drag], axis=1)
+    spatial = jnp.einsum("fc,fci,fcj->fij", drag, rows, rows)
+    axes = mjx_adapter.foot_axes(body)
+    return jnp.einsum("fai,fij,fbj->ab", axes, spatial, axes)

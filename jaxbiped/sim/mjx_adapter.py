@@ -66,7 +66,9 @@ def base_model(robot: RobotParams) -> Any:
     payload = trunk.add_body(name="payload")
     payload.mass, payload.inertia, payload.explicitinertial = 1e-9, [1e-9] * 3, True
     model = spec.compile()
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    model.opt.disableflags |= int(
+        mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    )
     order = [int(model.body(name).id) for name in ("trunk", "left_foot", "right_foot", "payload")]
     assert order == [TRUNK, LEFT_FOOT, RIGHT_FOOT, PAYLOAD], order
     return mjx.put_model(model)
@@ -108,10 +110,16 @@ def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> Bo
     )
 
 
-def generalized_force(body: BodyMotion, moment: Float[Array, "2 3"], force: Float[Array, "2 3"]) -> Float[Array, "18"]:
+def foot_axes(body: BodyMotion) -> Float[Array, "2 18 6"]:
+    """Spatial motion of each foot per unit of each qvel: zero for the other leg's joints."""
+    return jnp.where(_MOVES_FOOT[..., None], body.dof_axes, 0.0)
+
+
+def generalized_force(
+    body: BodyMotion, moment: Float[Array, "2 3"], force: Float[Array, "2 3"]
+) -> Float[Array, "18"]:
     """Joint-space force of a wrench on each foot; moment about `body.centre` [N m], force [N], world axes."""
-    wrench = jnp.concatenate([moment, force], axis=1)
-    return jnp.sum(jnp.where(_MOVES_FOOT, wrench @ body.dof_axes.T, 0.0), axis=0)
+    return jnp.einsum("fai,fi->a", foot_axes(body), jnp.concatenate([moment, force], axis=1))
 
 
 def trunk_force(body: BodyMotion, moment: Float[Array, "3"], force: Float[Array, "3"]) -> Float[Array, "18"]:
@@ -120,7 +128,9 @@ def trunk_force(body: BodyMotion, moment: Float[Array, "3"], force: Float[Array,
     return (body.dof_axes @ wrench).at[FREE_DOFS:].set(0.0)
 
 
-def integrate(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"], dt: float) -> Float[Array, "19"]:
+def integrate(
+    model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"], dt: float
+) -> Float[Array, "19"]:
     """Move qpos along qvel for dt [s] (the quaternion by its exponential)."""
     return _integrate_pos(model.jnt_type, qpos, qvel, jnp.asarray(dt, qpos.dtype))
 

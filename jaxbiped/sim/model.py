@@ -100,7 +100,7 @@ def _add_leg(trunk: mujoco.MjsBody, robot: RobotParams, side: int, side_name: st
             name=f"{side_name}_{joint_name}",
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=_UNIT[JOINT_AXES[joint]],
-            range=np.asarray(robot.joint_range[side, joint], float),
+            range=np.asarray(robot.joint_range[side, joint], float).tolist(),
             armature=float(robot.servo.armature[side, joint]),
         )
         _draw_leg_link(body, robot, link_name)
@@ -109,16 +109,16 @@ def _add_leg(trunk: mujoco.MjsBody, robot: RobotParams, side: int, side_name: st
 
 def _add_sole(foot: mujoco.MjsBody, robot: RobotParams, side: int, side_name: str) -> None:
     below_ankle = np.array([0.0, 0.0, -float(robot.ankle_height)])
-    foot.add_site(name=f"{side_name}_sole", pos=below_ankle)
+    foot.add_site(name=f"{side_name}_sole", pos=below_ankle.tolist())
     corners = np.asarray(robot.p_sole_corner[side], float)
     for corner_name, corner in zip(CORNER_NAMES, corners, strict=True):
         name = f"{side_name}_{corner_name}"
-        foot.add_site(name=name, pos=corner + below_ankle)
+        foot.add_site(name=name, pos=(corner + below_ankle).tolist())
         foot.add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[CORNER_RADIUS, 0.0, 0.0],
-            pos=corner + below_ankle + [0.0, 0.0, CORNER_RADIUS],
+            pos=(corner + below_ankle + [0.0, 0.0, CORNER_RADIUS]).tolist(),
             rgba=[0.8, 0.2, 0.2, 1.0],
             contype=2,
             conaffinity=1,

@@ -41,7 +41,9 @@ def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model
     attach = {EXACT: _attach_exact, THESIS: _attach_thesis}[payload_model]
     scale = scenario.errors.gain_scale
     servos = eqx.tree_at(
-        lambda s: (s.kp, s.kv, s.ki), robot.servo, tuple(scale * g for g in (robot.servo.kp, robot.servo.kv, robot.servo.ki))
+        lambda s: (s.kp, s.kv, s.ki),
+        robot.servo,
+        tuple(scale * g for g in (robot.servo.kp, robot.servo.kv, robot.servo.ki)),
     )
     return Plant(robot, model, scenario, servos, before, attach(before, scenario))
 

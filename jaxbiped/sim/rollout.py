@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbiped.adapt import Controller, ControllerState
+from jaxbiped.adapt import Controller, ControllerState, Sensed
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at
 from jaxbiped.robot import RobotParams
@@ -22,7 +22,7 @@ from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.plant import PAYLOAD_MODELS, Plant
 from jaxbiped.sim.scenario import Scenario
-from jaxbiped.sim.sensors import SwitchState
+from jaxbiped.sim.sensors import Delay, SwitchState
 from jaxbiped.sim.servo import Reference
 from jaxbiped.sim.statistics import Statistics
 
@@ -38,6 +38,10 @@ class Options(eqx.Module):
     """Add the plan's inverse dynamics to the servos' torque."""
     payload_model: str = eqx.field(static=True, default=plant.EXACT)
     """`exact` (welded cube) or `thesis` (elkahlout Eqs. 3.8-3.10)."""
+    noise: bool = eqx.field(static=True, default=False)
+    """Add the scenario's sensor noise."""
+    delay_room: int = eqx.field(static=True, default=0)
+    """Control ticks of sensor delay there is room for."""
     trace_every: int = eqx.field(static=True, default=0)
     """Control ticks between two samples of the trace; 0 for no trace."""
 
@@ -45,12 +49,13 @@ class Options(eqx.Module):
         """Refuse what cannot be simulated."""
         if not 0.0 < self.dt <= 0.01:
             raise ValueError(f"dt: got {self.dt:g} s, allowed: > 0 and <= 0.01 s")
-        if self.control_every < 1 or self.trace_every < 0:
-            raise ValueError(
-                f"control_every, trace_every: got {self.control_every}, {self.trace_every}, allowed: >= 1 and >= 0"
-            )
+        for name, least in (("control_every", 1), ("delay_room", 0), ("trace_every", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: got {getattr(self, name)} ticks, allowed: >= {least}")
         if self.payload_model not in PAYLOAD_MODELS:
-            raise ValueError(f"payload_model: got {self.payload_model!r}, allowed: {', '.join(PAYLOAD_MODELS)}")
+            raise ValueError(
+                f"payload_model: got {self.payload_model!r}, allowed: {', '.join(PAYLOAD_MODELS)}"
+            )
 
     @property
     def control_dt(self) -> float:
@@ -77,6 +82,7 @@ class State(eqx.Module):
     physics: Physics
     controller: ControllerState
     reference: Reference
+    delay: Delay | None
     zmp: Float[Array, "2"]
     """Centre of pressure, the last one while a foot was loaded [m]."""
 
@@ -129,13 +135,20 @@ def rollout(
 
 @eqx.filter_jit
 def _compiled(
-    robot: RobotParams, model: Any, controller: Controller, scenario: Scenario, duration: float, options: Options
+    robot: RobotParams,
+    model: Any,
+    controller: Controller,
+    scenario: Scenario,
+    duration: float,
+    options: Options,
 ) -> Walk:
     torque = make_feed_forward(robot, controller, duration, options)
     return simulate(robot, model, controller, scenario, torque, duration, options)
 
 
-def make_feed_forward(robot: RobotParams, controller: Controller, duration: float, options: Options) -> FeedForward:
+def make_feed_forward(
+    robot: RobotParams, controller: Controller, duration: float, options: Options
+) -> FeedForward:
     """The table of feed-forward torques of a walk; it depends on robot and gait, not on the scenario."""
     if not options.feed_forward:
         return feed_forward.none()
@@ -153,7 +166,7 @@ def simulate(
 ) -> Walk:
     """The roll-out itself, pure: to be mapped over scenarios and differentiated."""
     world = plant.make_plant(robot, model, scenario, options.payload_model)
-    state = _start(world, controller, torque)
+    state = _start(world, controller, torque, options)
     ticks = round(duration / options.control_dt)
     step = functools.partial(_control_tick, world, controller, torque, options)
     if options.trace_every == 0:
@@ -168,7 +181,7 @@ def simulate(
     return Walk(state.physics.statistics, trace)
 
 
-def _start(world: Plant, controller: Controller, torque: FeedForward) -> State:
+def _start(world: Plant, controller: Controller, torque: FeedForward, options: Options) -> State:
     """Standing still at t = 0, servos settled, feet loaded."""
     targets = at(controller.gait, 0.0)
     reference = _reference(world.robot, targets, torque)[0]
@@ -185,7 +198,8 @@ def _start(world: Plant, controller: Controller, torque: FeedForward) -> State:
         statistics=statistics.init(body),
     )
     zmp = sensors.centre_of_pressure(touch, body.p_world_trunk[:2])
-    return State(physics, controller.init(), reference, zmp)
+    _, delay = _sense(world, options, physics, body, touch, zmp, jnp.zeros((), qpos.dtype), None)
+    return State(physics, controller.init(), reference, delay, zmp)
 
 
 def _control_tick(
@@ -195,14 +209,35 @@ def _control_tick(
     physics, (body, touch, applied) = _physics_ticks(world, options, state)
     time = physics.tick * options.dt
     zmp = sensors.centre_of_pressure(touch, state.zmp)
-    angle = physics.qpos[7:].reshape(2, 6)
-    sensed = sensors.sense(body, touch, physics.qvel, angle, physics.switches, zmp, time)
+    sensed, delay = _sense(world, options, physics, body, touch, zmp, time, state.delay)
     controller_state, targets = controller.step(state.controller, sensed)
     reference, status = _reference(world.robot, targets, torque)
     physics = _count_out_of_reach(physics, status, options)
-    new = State(physics, controller_state, reference, zmp)
+    new = State(physics, controller_state, reference, delay, zmp)
     new = _frozen(state.physics.statistics.status != statistics.OK, state, new)
     return new, _sample(world, new, body, touch, applied, targets, time)
+
+
+def _sense(
+    world: Plant,
+    options: Options,
+    physics: Physics,
+    body: BodyMotion,
+    touch: Contact,
+    zmp: Float[Array, "2"],
+    time: Float[Array, ""],
+    delay: Delay | None,
+) -> tuple[Sensed, Delay | None]:
+    """What reaches the controller: the readings, with their noise and their delay if the options ask for them."""
+    faults = world.scenario.sensors
+    sensed = sensors.sense(body, touch, physics.qpos, physics.qvel, physics.switches, zmp, time, faults)
+    if options.noise:
+        sensed = sensors.add_noise(sensed, faults, physics.tick)
+    if options.delay_room == 0:
+        return sensed, None
+    delay = Delay.filled(sensed, options.delay_room) if delay is None else delay
+    delay, sensed = delay.push(sensed, faults.delay, options.control_dt)
+    return sensed, delay
 
 
 def _physics_ticks(
@@ -225,15 +260,15 @@ def _physics_ticks(
 def _physics_tick(
     world: Plant, dt: float, reference: Reference, state: Physics
 ) -> tuple[Physics, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
-    """Forces at the start of the tick, then semi-implicit Euler."""
+    """Forces at the start of the tick, then semi-implicit Euler; servo damping and friction at its end."""
     time = state.tick * dt
     body = plant.body_motion(world, state.qpos, state.qvel, time, dt)
     touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, body)
     torque, damping = plant.servo_torque(world, reference, state.qpos, state.qvel, state.integral)
     force = plant.contact_force(body, touch) + plant.push_force(world, body, time, dt) - body.bias
     force = force.at[6:].add(torque.reshape(-1))
-    owed = jnp.concatenate([jnp.zeros(6, damping.dtype), dt * damping.reshape(-1)])
-    qvel = state.qvel + dt * mjx_adapter.solve(body.mass_matrix + jnp.diag(owed), force)
+    damping_matrix = ground.drag_matrix(body, touch) + jnp.diag(jnp.pad(damping.reshape(-1), (6, 0)))
+    qvel = state.qvel + dt * mjx_adapter.solve(body.mass_matrix + dt * damping_matrix, force)
     new = Physics(
         tick=state.tick + 1,
         qpos=mjx_adapter.integrate(world.model, state.qpos, qvel, dt),
@@ -250,7 +285,9 @@ def _frozen(stop: Bool[Array, ""], old: Any, new: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(stop, a, b), old, new)
 
 
-def _reference(robot: RobotParams, targets: Targets, torque: FeedForward) -> tuple[Reference, Int[Array, "2"]]:
+def _reference(
+    robot: RobotParams, targets: Targets, torque: FeedForward
+) -> tuple[Reference, Int[Array, "2"]]:
     """Inverse kinematics of the targets and their velocities, and the status of each leg."""
 
     def angles(task: TaskSpace) -> tuple[Float[Array, "2 6"], Int[Array, "2"]]:

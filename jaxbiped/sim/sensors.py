@@ -1,13 +1,18 @@
 """From the simulated world to `Sensed`: what the robot's own sensors would say."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt import Sensed
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.scenario import SensorFaults
+
+BOUNCE_PERIOD = 1e-3
+"""For how long a bouncing switch stays open or closed [s]."""
+
 
 class SwitchState(eqx.Module):
     """What the contact switches remember between two ticks."""
@@ -36,6 +41,13 @@ def read_switches(
     return SwitchState(closed, gap, jnp.where(closed & ~state.closed, crossed, state.time))
 
 
+def bouncing(state: SwitchState, time: Float[Array, ""], faults: SensorFaults) -> Bool[Array, "2 4"]:
+    """What the switches say at `time` [s]: for a while after closing they open every other millisecond."""
+    since = time - state.time
+    opened = (since < faults.bounce) & (jnp.floor(since / BOUNCE_PERIOD) % 2 == 1)
+    return state.closed & ~opened
+
+
 def roll_pitch_yaw(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
     """Roll, pitch and yaw [rad] of rotation = Rz(yaw) Ry(pitch) Rx(roll)."""
     roll = jnp.arctan2(rotation[2, 1], rotation[2, 2])
@@ -55,30 +67,67 @@ def centre_of_pressure(contact: Contact, otherwise: Float[Array, "2"]) -> Float[
 def sense(
     body: BodyMotion,
     contact: Contact,
+    qpos: Float[Array, "19"],
     qvel: Float[Array, "18"],
-    angle: Float[Array, "2 6"],
     switches: SwitchState,
     zmp: Float[Array, "2"],
     time: Float[Array, ""],
+    faults: SensorFaults,
 ) -> Sensed:
     """Read every sensor. Ankle wrenches are those of the ground; the foot's own weight and inertia are left out."""
     arm = contact.p_world_corner - body.p_world_foot[:, None]
     force = contact.force.sum(axis=1)
     moment = jnp.cross(arm, contact.force).sum(axis=1)
     to_foot = jnp.swapaxes(body.rot_world_foot, -1, -2)
-    wrench = jnp.concatenate([jnp.einsum("fij,fj->fi", to_foot, force), jnp.einsum("fij,fj->fi", to_foot, moment)], 1)
+    wrench = jnp.concatenate(
+        [jnp.einsum("fij,fj->fi", to_foot, force), jnp.einsum("fij,fj->fi", to_foot, moment)], 1
+    )
     roll, pitch, yaw = roll_pitch_yaw(body.rot_world_trunk)
     forward, c, s = zmp - body.p_world_trunk[:2], jnp.cos(yaw), jnp.sin(yaw)
     return Sensed(
         time=time,
-        switch=switches.closed,
+        switch=bouncing(switches, time, faults),
         switch_time=switches.time,
         corner_force=contact.force[..., 2],
         ankle_wrench=wrench,
-        angle=angle,
+        angle=qpos[7:].reshape(2, 6),
         speed=qvel[6:].reshape(2, 6),
         roll_pitch=jnp.stack([roll, pitch]),
         rate=qvel[3:6],
         zmp_world=zmp,
         zmp_body=jnp.stack([c * forward[0] + s * forward[1], -s * forward[0] + c * forward[1]]),
     )
+
+
+def add_noise(sensed: Sensed, faults: SensorFaults, tick: Int[Array, ""]) -> Sensed:
+    """Gaussian noise on forces and angles, by the scenario's seed and the tick."""
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(faults.seed), tick), 3)
+    dtype = sensed.angle.dtype
+    return eqx.tree_at(
+        lambda s: (s.corner_force, s.angle, s.roll_pitch),
+        sensed,
+        (
+            sensed.corner_force + faults.force_noise * jax.random.normal(keys[0], (2, 4), dtype),
+            sensed.angle + faults.angle_noise * jax.random.normal(keys[1], (2, 6), dtype),
+            sensed.roll_pitch + faults.angle_noise * jax.random.normal(keys[2], (2,), dtype),
+        ),
+    )
+
+
+class Delay(eqx.Module):
+    """The last few readings; what arrives is one of them. `time` is the robot's own clock and is never late."""
+
+    readings: Sensed
+    """Leading axis: how many control ticks old."""
+
+    @classmethod
+    def filled(cls, sensed: Sensed, room: int) -> "Delay":
+        """As if the robot had stood before the start."""
+        return cls(jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (room + 1, *leaf.shape)), sensed))
+
+    def push(self, sensed: Sensed, delay: Float[Array, ""], control_dt: float) -> tuple["Delay", Sensed]:
+        """Take in a reading, give out the one that arrives now."""
+        shifted = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), self.readings, sensed)
+        age = jnp.clip(jnp.round(delay / control_dt), 0, shifted.time.shape[0] - 1).astype(jnp.int32)
+        arriving = jax.tree.map(lambda leaf: leaf[age], shifted)
+        return Delay(shifted), eqx.tree_at(lambda s: s.time, arriving, sensed.time)

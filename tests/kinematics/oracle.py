@@ -1,5 +1,6 @@
-"""What the kinematics are compared with: C MuJoCo, and a leg in NumPy and SciPy that shares no code with the package."""
+"""What the kinematics are compared with: C MuJoCo, and a leg in NumPy and SciPy, no code shared."""
 
+import dataclasses
 from pathlib import Path
 
 import mujoco
@@ -19,6 +20,11 @@ BENT = 0.0101
 """A knee just more bent than the inverse kinematics' straightest."""
 
 
+def load(name: str) -> robot.RobotParams:
+    """A robot under a name that all share: the name is static, so they share compiled kernels too."""
+    return dataclasses.replace(robot.load(name), name="any")
+
+
 def random_angles(params: robot.RobotParams, n: int, seed: int = 0) -> np.ndarray:
     """Joint angles (n, 2, 6) within the joint ranges, the knee never quite straight [rad]."""
     lower, upper = np.moveaxis(np.array(params.joint_range, float), -1, 0)
@@ -32,7 +38,7 @@ def random_rotations(n: int, seed: int = 0) -> np.ndarray:
 
 
 def leg_forward(params: robot.RobotParams, side: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sole position and rotation in the pelvis frame, by SciPy's rotations (intrinsic z x y, then y, y, x)."""
+    """Sole position and rotation in the pelvis frame, by SciPy's rotations (z x y, then y, y, x)."""
     hip = Rotation.from_euler("ZXY", angle[:3])
     knee = hip * Rotation.from_rotvec([0.0, angle[3], 0.0])
     sole = knee * Rotation.from_rotvec([0.0, angle[4], 0.0]) * Rotation.from_rotvec([angle[5], 0.0, 0.0])
@@ -65,7 +71,7 @@ def reach(params: robot.RobotParams, side: int) -> tuple[float, float]:
 
 
 def rotation_error(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Largest entry of the difference of rotation matrices, which for small errors is at most the angle [rad]."""
+    """Largest entry of the difference of rotation matrices; small ones are at most the angle [rad]."""
     return np.abs(np.asarray(one) - np.asarray(other)).max(axis=(-1, -2))
 
 

@@ -14,7 +14,7 @@ TINY = [0.0, -0.0, 1e-45, 1e-38, 1e-30, 1e-22, 1e-20, 1e-19, 3e-19, 1e-18, 1e-15
 def derivatives(function, *args):
     """Forward and reverse derivatives with respect to all arguments, one after the other."""
     every = tuple(range(len(args)))
-    return [np.stack(d(function, argnums=every)(*args)) for d in (jax.jacfwd, jax.jacrev)]
+    return [np.stack(jax.jit(d(function, argnums=every))(*args)) for d in (jax.jacfwd, jax.jacrev)]
 
 
 def assert_both_are(function, args, wanted, rtol=0.0):

@@ -43,7 +43,9 @@ def _random_hermite(degree: int, seed: int):
     rng = np.random.default_rng(seed)
     first, last = _hermite(degree)
     start, end = _random_spans(rng, CASES)
-    times = np.concatenate([np.repeat(start[:, None], len(first), 1), np.repeat(end[:, None], len(last), 1)], 1)
+    times = np.concatenate(
+        [np.repeat(start[:, None], len(first), 1), np.repeat(end[:, None], len(last), 1)], 1
+    )
     values = rng.normal(size=(CASES, degree + 1)) / (end - start)[:, None] ** np.array(first + last)
     probes = start[:, None] + (end - start)[:, None] * np.linspace(0.0, 1.0, 17)
     expected = np.empty((CASES, 3, 17))

@@ -1,4 +1,4 @@
-"""The presets hold the papers' numbers; any robot file becomes a record of two legs that mirror each other."""
+"""The presets hold the papers' numbers; any robot file becomes a record of two mirrored legs."""
 
 from pathlib import Path
 
