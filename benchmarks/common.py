@@ -47,23 +47,26 @@ def header(core: int | None) -> dict[str, Any]:
 
 
 def median_seconds(call: Callable[[], Any], repeats: int, least: float = 0.02) -> float:
-    """Median time of one call [s]; `call` must wait for its own output.
+    """Median CPU time of one call [s]; `call` must wait for its own output.
+
+    All threads of the process count, and they share one core: on an idle machine this is the wall-clock time, on a
+    busy one it leaves out what other processes took.
 
     Args:
         call: what to time; it has been warmed up before.
         repeats: how many times to measure.
         least: shortest measurement [s]; shorter calls are repeated within one.
     """
-    began = time.perf_counter()
+    began = time.process_time()
     call()
-    loops = max(1, round(least / max(time.perf_counter() - began, 1e-7)))
+    loops = max(1, round(least / max(time.process_time() - began, 1e-7)))
     measured = []
     gc.disable()
     for _ in range(repeats):
-        began = time.perf_counter()
+        began = time.process_time()
         for _ in range(loops):
             call()
-        measured.append((time.perf_counter() - began) / loops)
+        measured.append((time.process_time() - began) / loops)
     gc.enable()
     return statistics.median(measured)
 

@@ -5,9 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 
 
+@pytest.mark.slow
 def test_kernels_run_and_end_with_one_json_object():
     command = [sys.executable, str(BENCHMARKS / "kernels.py"), "--quick", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)

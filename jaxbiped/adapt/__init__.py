@@ -1,6 +1,7 @@
 """Online adaptation: what a controller senses and what it makes of it. Knows nothing of scenarios."""
 
 from jaxbiped.adapt.controller import Controller, ControllerState
+from jaxbiped.adapt.landing import Landing, LandingStage, LandingState
 from jaxbiped.adapt.sensed import Sensed
 
-__all__ = ["Controller", "ControllerState", "Sensed"]
+__all__ = ["Controller", "ControllerState", "Landing", "LandingStage", "LandingState", "Sensed"]

@@ -10,6 +10,7 @@ from math import factorial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -63,7 +64,27 @@ def boundary_polynomial(
     centre, scale = 0.5 * (t.max() + t.min()), 0.5 * (t.max() - t.min())
     rows = [_row((t[i] - centre) / scale, order, n) for i, order in enumerate(orders)]
     scaled = y * scale ** jnp.asarray(orders, t.dtype)
-    return Polynomial(jnp.linalg.solve(jnp.stack(rows), scaled), centre, scale)
+    return Polynomial(solve(jnp.stack(rows), scaled), centre, scale)
+
+
+def solve(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Solve a small linear system by Gauss-Jordan elimination with row pivoting.
+
+    Not `jnp.linalg.solve`: several batched LAPACK calls in one program can block each other for ever on a CPU
+    with few cores (jaxlib 0.10), and each of them takes long to compile.
+    """
+    n = right.shape[0]
+
+    def eliminate(state, column):
+        rows, free = state
+        pivot = jnp.argmax(jnp.where(free, jnp.abs(rows[:, column]), -1.0))
+        row = rows[pivot] / rows[pivot, column]
+        rows = (rows - rows[:, column, None] * row).at[pivot].set(row)
+        return (rows, free.at[pivot].set(False)), pivot
+
+    rows = jnp.concatenate([matrix, right[:, None]], axis=1)
+    (rows, _), pivots = jax.lax.scan(eliminate, (rows, jnp.ones(n, bool)), jnp.arange(n))
+    return rows[pivots, n]
 
 
 def _row(s: Float[Array, ""], order: int, n: int) -> Float[Array, " n"]:
@@ -116,7 +137,7 @@ def coupled_polynomials(
         for piece, time, order, factor in terms:
             row = _row((time - centres[piece]) / scales[piece], order, sizes[piece]) / scales[piece] ** order
             matrix = matrix.at[i, offsets[piece] : offsets[piece] + sizes[piece]].add(factor * row)
-    solution = jnp.linalg.solve(matrix, right)
+    solution = solve(matrix, right)
     split = jnp.split(solution, offsets[1:])
     return [Polynomial(c, centre, scale) for c, centre, scale in zip(split, centres, scales, strict=True)]
 
@@ -172,7 +193,7 @@ def spline_slopes(
     matrix = matrix.at[inner, inner + 1].set(1 / h[1:])
     ends = [jnp.asarray(end, knots.dtype)[None] for end in (first, last)]
     right = jnp.concatenate([ends[0], 3 * (secant[:-1] / h[:-1] + secant[1:] / h[1:]), ends[1]])
-    return jnp.linalg.solve(matrix, right)
+    return solve(matrix, right)
 
 
 def shift(polynomial: Polynomial, offset: Scalar, delay: Scalar, sign: Scalar = 1.0) -> Polynomial:

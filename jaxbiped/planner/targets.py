@@ -32,6 +32,10 @@ class Phase(eqx.Module):
     """Time since this support phase began [s]; before the first lift-off, since the start of the walk."""
     time_since_liftoff: Float[Array, ""]
     """Time since the lift-off of this step [s]; negative before the first one."""
+    T_s: Float[Array, ""]
+    """Duration of this step's single support [s]."""
+    T_c: Float[Array, ""]
+    """Duration of this step [s]."""
 
 
 class Timing(eqx.Module):
@@ -69,6 +73,8 @@ def step_phase(timing: Timing, t: Float[Array, ""]) -> Phase:
         support=jnp.where(single, SINGLE_SUPPORT, DOUBLE_SUPPORT),
         time_in_phase=jnp.where(standing, t, jnp.where(single, since_liftoff, since_liftoff - T_s)),
         time_since_liftoff=since_liftoff,
+        T_s=T_s,
+        T_c=timing.T_c,
     )
 
 

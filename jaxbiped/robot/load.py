@@ -12,11 +12,13 @@ import numpy as np
 
 from jaxbiped.robot import inertia as rigid
 from jaxbiped.robot.fields import Number, RobotFileError, Rule, read_number
-from jaxbiped.robot.params import JOINT_NAMES, LEG_LINK_NAMES, Links, RobotParams, Servo
+from jaxbiped.robot.params import JOINT_NAMES, KNEE, LEG_LINK_NAMES, Links, RobotParams, Servo
 
 _POINT = Rule("m", ((3,),))
 _LENGTH = Rule("m", above=0.0)
 _JOINTS = ((len(JOINT_NAMES),),)
+LEAST_KNEE_RANGE = 0.1
+"""Smallest upper knee limit with which a leg has any reach to speak of [rad]."""
 _MIRRORED_JOINTS = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
 """How a joint angle of the left leg reads on the mirrored right leg: yaw and the rolls change sign."""
 
@@ -229,6 +231,11 @@ def _joint_range(value: dict[str, np.ndarray]) -> np.ndarray:
     for joint, low, high in zip(JOINT_NAMES, lower, upper, strict=True):
         if low >= high:
             raise RobotFileError(f"limits: got {joint} from {low:g} to {high:g} rad, allowed: lower < upper")
+    if not LEAST_KNEE_RANGE <= upper[KNEE] <= np.pi:
+        raise RobotFileError(
+            f"limits.upper: got knee {upper[KNEE]:g} rad, allowed: {LEAST_KNEE_RANGE:g} to {np.pi:.4g} rad "
+            "(a knee bends one way, from 0 up)"
+        )
     left = np.stack([lower, upper], axis=1)
     right = np.sort(left * _MIRRORED_JOINTS[:, None], axis=1)
     return np.stack([left, right])

@@ -29,7 +29,7 @@ TRUNK = 1
 LEFT_FOOT, RIGHT_FOOT = 7, 13
 PAYLOAD = 14
 """Body numbers in the model: the world is 0, then the links in the record's order, then the payload's box."""
-_FEET = np.array([LEFT_FOOT, RIGHT_FOOT])
+_FEET = np.array([LEFT_FOOT, RIGHT_FOOT], np.int32)  # int64 trips JAX when float64 and float32 alternate
 _MOVES_FOOT = np.zeros((2, NV), bool)
 _MOVES_FOOT[:, :FREE_DOFS] = True
 _MOVES_FOOT[0, FREE_DOFS : FREE_DOFS + 6] = True
@@ -105,7 +105,7 @@ def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> Bo
         twist_foot=data.cvel[_FEET],
         centre=data.subtree_com[TRUNK],
         dof_axes=data.cdof,
-        mass_matrix=data._impl.M,
+        mass_matrix=data._impl.M,  # pyright: ignore[reportAttributeAccessIssue]
         bias=data.qfrc_bias,
     )
 

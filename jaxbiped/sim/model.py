@@ -29,6 +29,7 @@ def build_spec(robot: RobotParams, timestep: float = 5e-4) -> mujoco.MjSpec:
     """
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
+    spec.compiler.degree = False
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -148,8 +149,8 @@ def _draw(body: mujoco.MjsBody, kind: mujoco.mjtGeom, size: np.ndarray, pos: np.
     """Add a massless geom that touches nothing."""
     body.add_geom(
         type=kind,
-        size=size,
-        pos=pos,
+        size=size.tolist(),
+        pos=pos.tolist(),
         rgba=[0.55, 0.6, 0.68, 1.0],
         contype=0,
         conaffinity=0,

@@ -36,7 +36,10 @@ class Plant(eqx.Module):
 
 
 def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model: str = EXACT) -> Plant:
-    """Apply a scenario's model errors and payload to the nominal robot."""
+    """Apply a scenario's model errors and payload to the nominal robot.
+
+    The payload's body is in its place from the start, without mass: only masses and inertias change while it comes.
+    """
     before = _with_errors(mjx_adapter.masses(model), scenario)
     attach = {EXACT: _attach_exact, THESIS: _attach_thesis}[payload_model]
     scale = scenario.errors.gain_scale
@@ -54,7 +57,7 @@ def _with_errors(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
     scale = scenario.errors.mass_scale
     return (
         mass.at[links].multiply(scale),
-        com.at[TRUNK].add(scenario.errors.trunk_com_offset),
+        com.at[TRUNK].add(scenario.errors.trunk_com_offset).at[PAYLOAD].set(scenario.payload.place),
         inertia.at[links].multiply(scale[:, None]),
     )
 
@@ -65,7 +68,7 @@ def _attach_exact(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
     load = scenario.payload
     return (
         mass.at[PAYLOAD].set(load.mass),
-        com.at[PAYLOAD].set(load.place),
+        com,
         inertia.at[PAYLOAD].set(jnp.broadcast_to(load.mass * load.size**2 / 6.0, (3,))),
     )
 

@@ -184,7 +184,7 @@ def simulate(
 def _start(world: Plant, controller: Controller, torque: FeedForward, options: Options) -> State:
     """Standing still at t = 0, servos settled, feet loaded."""
     targets = at(controller.gait, 0.0)
-    reference = _reference(world.robot, targets, torque)[0]
+    reference = servo_reference(world.robot, targets, torque)[0]
     qpos = equilibrium.standing(world, targets.position, reference)
     qvel = jnp.zeros(mjx_adapter.NV, qpos.dtype)
     body = plant.body_motion(world, qpos, qvel, jnp.zeros((), qpos.dtype), 1e-3)
@@ -211,7 +211,7 @@ def _control_tick(
     zmp = sensors.centre_of_pressure(touch, state.zmp)
     sensed, delay = _sense(world, options, physics, body, touch, zmp, time, state.delay)
     controller_state, targets = controller.step(state.controller, sensed)
-    reference, status = _reference(world.robot, targets, torque)
+    reference, status = servo_reference(world.robot, targets, torque)
     physics = _count_out_of_reach(physics, status, options)
     new = State(physics, controller_state, reference, delay, zmp)
     new = _frozen(state.physics.statistics.status != statistics.OK, state, new)
@@ -285,7 +285,7 @@ def _frozen(stop: Bool[Array, ""], old: Any, new: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(stop, a, b), old, new)
 
 
-def _reference(
+def servo_reference(
     robot: RobotParams, targets: Targets, torque: FeedForward
 ) -> tuple[Reference, Int[Array, "2"]]:
     """Inverse kinematics of the targets and their velocities, and the status of each leg."""

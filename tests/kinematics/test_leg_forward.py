@@ -60,7 +60,7 @@ def test_leg_poses_are_those_of_mujoco(case, side, dtype, metres, radians):
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: name.split("/")[-1])
 def test_leg_poses_are_those_of_scipy(x64, name, side):
     params = load(name)
     angles = random_angles(params, 50)[:, side]
@@ -110,7 +110,7 @@ def test_positive_angle(x64, side, joint, moves):
     assert amount > 0.03
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: name.split("/")[-1])
 def test_mirrored_legs_have_mirrored_poses(x64, name):
     params = load(name)
     angles = random_angles(params, 500)[:, 0]
@@ -121,7 +121,7 @@ def test_mirrored_legs_have_mirrored_poses(x64, name):
     np.testing.assert_allclose(MIRROR @ left.rot_pelvis_link @ MIRROR, right.rot_pelvis_link, atol=1e-14)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: name.split("/")[-1])
 def test_whole_robot_is_that_of_mujoco(x64, name):
     params, n = load(name), 300
     model = build_model(params)

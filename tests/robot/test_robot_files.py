@@ -133,6 +133,7 @@ WRONG = [
      ["geometry.sole_", "outer and inner", "-0.08", "-0.05"]),
     ("lower above upper", "-1.9, 0.05", "0.9, 0.05",
      ["limits", "hip_pitch", "0.9", "0.8 rad", "lower < upper"]),
+    ("knee beyond half a turn", "0.8, 2.2, 0.7", "0.8, 3.5, 0.7", ["limits.upper", "knee 3.5 rad", "0.1 to 3.142 rad"]),
     ("lower at upper", "[-0.5, ", "[0.9, ", ["limits", "hip_yaw", "0.9 to 0.9 rad", "lower < upper"]),
     ("masses do not add up", "value = 61.0,", "value = 61.002,", ["overall.mass", "61.002 kg", "61.000 kg"]),
     ("mass left out", "value = 6.5,", "value = 6.4,", ["overall.mass", "61 kg", "60.800 kg"]),

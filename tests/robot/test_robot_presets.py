@@ -131,7 +131,7 @@ def test_every_number_of_a_preset_has_its_unit_and_where_it_comes_from(name):
             assert number.source.startswith(("khadiv", "elkahlout")), number.field
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
 def test_links_mirror(x64, name):
     links = robot.load(name).links
     left, right = slice(1, 7), slice(7, 13)
@@ -141,7 +141,7 @@ def test_links_mirror(x64, name):
     np.testing.assert_array_equal(mirror @ links.inertia[left] @ mirror, links.inertia[right])
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
 def test_hips_and_soles_mirror(x64, name):
     params = robot.load(name)
     np.testing.assert_array_equal(params.p_pelvis_hip[0] * FLIP, params.p_pelvis_hip[1])
@@ -153,7 +153,7 @@ def test_hips_and_soles_mirror(x64, name):
         assert not corners[:, 2].any()
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
 def test_servos_and_joint_ranges_mirror(x64, name):
     params = robot.load(name)
     for gain in jax.tree.leaves(params.servo):

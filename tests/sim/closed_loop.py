@@ -1,0 +1,94 @@
+"""Closed loops that several test files share: one compilation for each robot, scenarios and gaits as a batch."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbiped import robot
+from jaxbiped.adapt import Controller
+from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params, polynomial_params
+from jaxbiped.sim import Options, Scenario, mjx_adapter
+from jaxbiped.sim.rollout import Walk, make_feed_forward, simulate
+
+N_STEPS = 4
+CONTROL_EVERY = {"surena3": 4, "elkahlout": 1}
+FOREVER = 100.0
+STANDS_FOR = 0.5
+"""How long a walk is watched after its end [s]."""
+
+
+class Setup(NamedTuple):
+    """A robot with its preset gait."""
+
+    params: robot.RobotParams
+    gait: Any
+    options: Options
+    duration: float
+
+    @property
+    def weight(self) -> float:
+        return float(self.params.total_mass) * 9.81
+
+
+def setup(name: str, n_steps: int = N_STEPS, **options: Any) -> Setup:
+    params = robot.load(name)
+    gait = {"surena3": PolynomialGait, "elkahlout": CosineGait}[name].preset(params, n_steps)
+    chosen = {"control_every": CONTROL_EVERY[name], "trace_every": 20 // CONTROL_EVERY[name], **options}
+    return Setup(params, gait, Options(**chosen), float(gait.duration) + STANDS_FOR)
+
+
+def standing(one: Setup) -> Any:
+    """The same kind of gait that does not begin to walk before FOREVER has passed."""
+    if one.params.name == "surena3":
+        p = eqx.tree_at(lambda p: p.T_ini, polynomial_params("surena3"), jnp.asarray(FOREVER))
+        gait = PolynomialGait.make(one.params, p, one.gait.n_steps)
+        return gait
+    p = cosine_params("elkahlout")
+    p = eqx.tree_at(lambda p: (p.T_ini, p.w, p.b_s), p, (jnp.asarray(FOREVER), jnp.asarray(0.0), jnp.asarray(0.0)))
+    return CosineGait.make(one.params, p, one.gait.n_steps)
+
+
+def stack(items: list[Any]) -> Any:
+    """Records into one with a leading axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *items)
+
+
+def lane(batch: Any, i: int) -> Any:
+    """One of a batch, as NumPy."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[i], batch)
+
+
+@eqx.filter_jit
+def tables(params: robot.RobotParams, gaits: Any, duration: float, options: Options) -> Any:
+    return eqx.filter_vmap(lambda g: make_feed_forward(params, Controller(g), duration, options))(gaits)
+
+
+@eqx.filter_jit
+def batch(
+    params: robot.RobotParams,
+    model: Any,
+    gaits: Any,
+    scenarios: Scenario,
+    torques: Any,
+    duration: float,
+    options: Options,
+) -> Walk:
+    """Roll-outs of many gaits in as many scenarios."""
+
+    def one(gait: Any, scenario: Scenario, torque: Any) -> Walk:
+        return simulate(params, model, Controller(gait), scenario, torque, duration, options)
+
+    return eqx.filter_vmap(one)(gaits, scenarios, torques)
+
+
+def run(one: Setup, cases: list[tuple[Any, Scenario]], feed_forward: list[bool] | None = None) -> Walk:
+    """A batch of (gait, scenario), with the plan's torque or without it."""
+    gaits, scenarios = stack([g for g, _ in cases]), stack([s for _, s in cases])
+    torques = tables(one.params, gaits, one.duration, one.options)
+    on = jnp.asarray(feed_forward or [True] * len(cases), float)
+    torques = jax.tree.map(lambda leaf: leaf * on.reshape(-1, *[1] * (leaf.ndim - 1)), torques)
+    model = mjx_adapter.base_model(one.params)
+    return batch(one.params, model, gaits, scenarios, torques, one.duration, one.options)
