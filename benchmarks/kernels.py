@@ -101,7 +101,6 @@ def one_leg_model(robot_name: str) -> mujoco.MjModel:
     """The robot's own MuJoCo model with its pelvis fixed in the world's origin and its left leg only."""
     with jax.enable_x64(True):
         spec: Any = sim.build_spec(robot.load(robot_name))
-    spec.compiler.degree = False  # joint ranges are given in radians
     spec.delete(spec.joint("root"))
     spec.delete(spec.body("right_hip_yaw"))
     spec.body("trunk").pos = np.zeros(3)

@@ -1,14 +1,13 @@
 """jaxbiped: a pure-JAX, differentiable, vectorised simulator and batch tester for biped walking adaptation.
 
-Data flows one way through the rooms: robot -> kinematics -> planner -> adapt -> sim -> score -> tune, batch ->
-report, cli. See docs/conventions.md for frames, signs and units.
+Data flows one way through the rooms: robot -> kinematics -> planner -> adapt -> sim -> report, cli. See docs/conventions.md for frames, signs and units.
 """
 
 from jaxbiped._versions import check_installed
 
 check_installed()
 
-from jaxbiped import kinematics, planner, robot, sim  # noqa: E402  (after the version check, on purpose)
+from jaxbiped import adapt, kinematics, planner, robot, sim  # noqa: E402  (after the version check, on purpose)
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "kinematics", "planner", "robot", "sim"]
+__all__ = ["__version__", "adapt", "kinematics", "planner", "robot", "sim"]

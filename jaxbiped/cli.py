@@ -8,7 +8,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,11 +19,15 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from jaxbiped import kinematics, planner, robot, sim
+from jaxbiped import adapt, kinematics, planner, robot, sim
 
 OK, FAILED, BAD_INPUT = 0, 1, 2
 N_STEPS = 8
 """Steps of the demonstration: four walking cycles, as in khadiv section 4."""
+OBSTACLES = {2: 0.03, 4: 0.02, 6: 0.04}
+"""Obstacles of the demonstration: step number and height [m]; the step after each is a retard landing."""
+TRACE_DT = 0.01
+"""Between two samples of a drawn trace [s]."""
 
 
 class InputError(ValueError):
@@ -32,7 +36,7 @@ class InputError(ValueError):
 
 @dataclass(frozen=True)
 class Demo:
-    """Plan the nominal walks of both papers, draw them, and say how feasible they are."""
+    """Plan both papers' walks, say how feasible they are, walk one over unknown obstacles, and draw it all."""
 
     out: Path = Path("runs/demo")
     """Folder of the figures; made if it is missing."""
@@ -122,19 +126,78 @@ def _demo(command: Demo) -> dict[str, Any]:
         "elkahlout": _plan(elkahlout, planner.CosineGait.preset(elkahlout, N_STEPS)),
     }
     drawn = _draw_surena3(figures, walks["surena3"]) | _draw_elkahlout(figures, walks["elkahlout"])
+    print("walking surena3 over three obstacles, with and without landing adaptation", flush=True)
+    simulated = _walk_over_obstacles(surena, walks["surena3"].gait)
+    drawn |= _draw_obstacles(figures, walks["surena3"].gait, simulated)
     files = [figures.save(figure, out / f"{name}.png") for name, figure in drawn.items()]
     summaries = {name: _summary(walk) for name, walk in walks.items()}
+    outcomes = {name: _outcome(walk) for name, walk in simulated.items()}
     for summary in summaries.values():
         print(_in_words(summary))
+    print(
+        f"surena3 in simulation over obstacles of {', '.join(f'{100 * h:g}' for h in OBSTACLES.values())} cm:"
+    )
+    for name, outcome in outcomes.items():
+        print(f"  {name}: {_outcome_in_words(outcome)}")
     print(f"{len(files)} figures in {out}")
-    return {"walks": summaries, "files": [str(file) for file in files]}
+    return {"walks": summaries, "obstacles": outcomes, "files": [str(file) for file in files]}
+
+
+def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.Walk]:
+    scenario = sim.Scenario.flat()
+    for step, height in OBSTACLES.items():
+        scenario = scenario.with_obstacle(params, gait, step, height)
+    options = sim.Options()
+    options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
+    controllers = {
+        "landing adaptation": adapt.Controller(gait, landing=adapt.Landing.repaired()),
+        "none": adapt.Controller(gait),
+    }
+    duration = float(gait.duration) + 0.5
+    return {
+        name: sim.rollout(params, controller, scenario, duration, options)
+        for name, controller in controllers.items()
+    }
+
+
+def _draw_obstacles(figures: ModuleType, gait: Any, walks: dict[str, sim.Walk]) -> dict[str, Any]:
+    heights = ", ".join(f"{100 * height:g}" for height in OBSTACLES.values())
+    what = f"surena3 over unknown obstacles of {heights} cm"
+    traces = {name: walk.trace for name, walk in walks.items()}
+    adapted = traces["landing adaptation"]
+    return {
+        "surena3_obstacles_tilt_and_forces": figures.tilt_and_forces(traces, f"Simulated: {what}"),
+        "surena3_obstacles_modifications": figures.modifications(
+            adapted, _targets(gait, adapted.time).position, f"Added to the plan: {what}"
+        ),
+    }
+
+
+def _outcome(walk: sim.Walk) -> dict[str, Any]:
+    s = walk.statistics
+    return {
+        "status": sim.STATUS_TEXT[int(s.status)],
+        "end_time_s": round(float(s.end_time), 4),
+        "peak_roll_deg": float(np.degrees(s.peak_roll_pitch[0])),
+        "peak_pitch_deg": float(np.degrees(s.peak_roll_pitch[1])),
+        "peak_foot_force_N": float(np.max(s.peak_foot_force)),
+        "peak_slip_m": float(np.max(s.peak_slip)),
+    }
+
+
+def _outcome_in_words(o: dict[str, Any]) -> str:
+    return (
+        f"{o['status']} at {o['end_time_s']:.2f} s, trunk roll up to {o['peak_roll_deg']:.1f} and pitch"
+        f" {o['peak_pitch_deg']:.1f} deg, foot force up to {o['peak_foot_force_N']:.0f} N,"
+        f" slip {1e3 * o['peak_slip_m']:.0f} mm"
+    )
 
 
 def _figures() -> ModuleType:
     """The figures, imported only when a command draws: matplotlib is an extra."""
-    from jaxbiped.report import figures
+    from jaxbiped import report
 
-    return figures
+    return report
 
 
 def _plan(params: robot.RobotParams, gait: planner.Gait) -> Walk:

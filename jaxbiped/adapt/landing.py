@@ -63,7 +63,14 @@ class Landing(eqx.Module):
 
     def __check_init__(self) -> None:
         """Refuse what cannot be meant."""
-        for name in ("delta_z", "T_mod", "descent_speed", "descent_acceleration", "max_descent", "release_share"):
+        for name in (
+            "delta_z",
+            "T_mod",
+            "descent_speed",
+            "descent_acceleration",
+            "max_descent",
+            "release_share",
+        ):
             value = getattr(self, name)
             known = value is not None and not isinstance(value, jax.core.Tracer) and jnp.ndim(value) == 0
             if known and not value > 0.0:
@@ -73,7 +80,14 @@ class Landing(eqx.Module):
     @classmethod
     def paper(cls, **parameters: Any) -> "Landing":
         """Eqs. 6-16 to the letter."""
-        switches = ("no_undershoot", "smooth_descent", "pelvis_follows", "commanded_velocity", "keep_x", "interpolate")
+        switches = (
+            "no_undershoot",
+            "smooth_descent",
+            "pelvis_follows",
+            "commanded_velocity",
+            "keep_x",
+            "interpolate",
+        )
         return cls(**{name: False for name in switches}, **parameters)
 
     @classmethod
@@ -308,7 +322,10 @@ def _last_way(gait: Gait, step: Int[Array, ""], T_mod: Scalar) -> Scalar:
 
 def _taylor(nominal: Targets, dt: Scalar) -> TaskSpace:
     return jax.tree.map(
-        lambda p, v, a: p + v * dt + 0.5 * a * dt * dt, nominal.position, nominal.velocity, nominal.acceleration
+        lambda p, v, a: p + v * dt + 0.5 * a * dt * dt,
+        nominal.position,
+        nominal.velocity,
+        nominal.acceleration,
     )
 
 
@@ -343,4 +360,3 @@ def _descent(p: Landing, t: Scalar, T_d: Scalar) -> Scalar:
     up, left = jnp.minimum(t, ramp), jnp.maximum(t - (stop - ramp), 0.0)
     slope = p.descent_speed / ramp
     return 0.5 * slope * up * up + p.descent_speed * (t - up) - 0.5 * slope * left * left
-

@@ -4,7 +4,7 @@ Every function takes what a planner gives, sampled over time (a leading axis), a
 Figure. No pyplot: nothing global is touched.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ def feet(time: Any, task: TaskSpace, phase: Phase, title: str = "Feet") -> Figur
         phase: phases with a leading axis n.
         title: heading of the figure.
     """
-    figure, panels = _panels(3, title, phase, time)
+    figure, panels = _panels(3, title, phase.support, time)
     _draw_feet(panels, time, np.asarray(task.sole))
     return _finish(figure, panels)
 
@@ -54,7 +54,7 @@ def feet_in_body(time: Any, task: TaskSpace, phase: Phase, title: str = "Feet in
         phase: phases with a leading axis n.
         title: heading of the figure.
     """
-    figure, panels = _panels(3, title, phase, time)
+    figure, panels = _panels(3, title, phase.support, time)
     _draw_feet(panels, time, np.asarray(task.sole) - np.asarray(task.pelvis)[:, None])
     return _finish(figure, panels)
 
@@ -68,7 +68,7 @@ def pelvis(time: Any, task: TaskSpace, phase: Phase, title: str = "Pelvis") -> F
         phase: phases with a leading axis n.
         title: heading of the figure.
     """
-    figure, panels = _panels(3, title, phase, time)
+    figure, panels = _panels(3, title, phase.support, time)
     for axis, axes in enumerate(panels):
         axes.plot(time, np.asarray(task.pelvis)[:, axis], color=BLUE, label="pelvis")
         axes.set_ylabel(f"{_AXIS_WORDS[axis]} [m]")
@@ -86,7 +86,7 @@ def zmp(report: Feasibility, phase: Phase, axis: int, title: str = "ZMP") -> Fig
     """
     time = np.asarray(report.time)
     lower, upper = np.asarray(report.support_lower)[:, axis], np.asarray(report.support_upper)[:, axis]
-    figure, panels = _panels(1, title, phase, time, height=4.6)
+    figure, panels = _panels(1, title, phase.support, time, height=4.6)
     axes = panels[0]
     axes.fill_between(time, lower, upper, step="mid", color=SUPPORT_FILL, alpha=0.75, lw=0, zorder=1)
     for edge, label in ((lower, "_lower edge"), (upper, "edges of the support")):
@@ -106,7 +106,7 @@ def feasibility_page(report: Feasibility, phase: Phase, title: str = "Feasibilit
         title: heading of the figure.
     """
     time = np.asarray(report.time)
-    figure, panels = _panels(5, title, phase, time, height=9.6)
+    figure, panels = _panels(5, title, phase.support, time, height=9.6)
     margin, friction, torque, speed, knee = panels
     _draw_worst(margin, time, 1e3 * np.asarray(report.zmp_margin), "ZMP margin\n[mm]", np.min, "smallest")
     _draw_worst(friction, time, np.asarray(report.friction), "friction needed\n[-]", np.max, "largest")
@@ -121,6 +121,22 @@ def feasibility_page(report: Feasibility, phase: Phase, title: str = "Feasibilit
     return _finish(figure, panels)
 
 
+def panels_over_time(
+    rows: int, title: str, support: Any, time: Any, height: float
+) -> tuple[Sequence[Axes], Callable[[], Figure]]:
+    """Panels over one another with a common time axis, single support shaded, and a call that finishes the figure.
+
+    Args:
+        rows: number of panels.
+        title: heading of the figure.
+        support: (n,) SINGLE_SUPPORT or DOUBLE_SUPPORT.
+        time: (n,) [s].
+        height: of the figure [inch].
+    """
+    figure, panels = _panels(rows, title, support, time, height)
+    return panels, lambda: _finish(figure, panels)
+
+
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure as a PNG and return its path."""
     path = Path(path)
@@ -129,7 +145,7 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def _panels(
-    rows: int, title: str, phase: Phase, time: Any, height: float = 7.2
+    rows: int, title: str, support: Any, time: Any, height: float = 7.2
 ) -> tuple[Figure, Sequence[Axes]]:
     """Panels over one another with a common time axis, single support shaded."""
     figure = Figure(figsize=(9.0, height), dpi=DPI, layout="constrained", facecolor="white")
@@ -139,7 +155,7 @@ def _panels(
     edges = _sample_edges(np.asarray(time))
     for axes in panels:
         _dress(axes)
-        _shade_single_support(axes, edges, np.asarray(phase.support))
+        _shade_single_support(axes, edges, np.asarray(support))
     panels[-1].set_xlabel("time [s]")
     panels[0].set_xlim(float(edges[0]), float(edges[-1]))
     return figure, panels

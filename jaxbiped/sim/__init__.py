@@ -1,7 +1,20 @@
 """Simulator: the only room that imports MuJoCo."""
 
 from jaxbiped.sim.model import build_model, build_spec, write_mjcf
-from jaxbiped.sim.rollout import Options, Walk, rollout
+from jaxbiped.sim.rollout import Options, Sample, Walk, rollout, simulate
 from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.statistics import STATUS_TEXT, Statistics
 
-__all__ = ["Options", "Scenario", "Walk", "build_model", "build_spec", "rollout", "write_mjcf"]
+__all__ = [
+    "STATUS_TEXT",
+    "Options",
+    "Sample",
+    "Scenario",
+    "Statistics",
+    "Walk",
+    "build_model",
+    "build_spec",
+    "rollout",
+    "simulate",
+    "write_mjcf",
+]

@@ -2,8 +2,8 @@
 
 Normal force by Hunt and Crossley, N = k d max(0, 1 + a d'): continuous at touchdown and at lift-off, which is what
 makes derivatives through a touchdown mean something. Friction by Coulomb, regularised: mu N v / sqrt(v^2 + v_s^2).
-Friction is stiff, mu N / v_s per unit of speed: it acts on the velocity at the end of the tick (`drag_matrix`); explicit
-integration would let the feet creep.
+Friction is stiff, mu N / v_s per unit of speed: it acts on the velocity at the end of the tick (`drag_matrix`);
+explicit integration would let the feet creep.
 """
 
 import equinox as eqx

@@ -1,5 +1,7 @@
 """Polynomials against SciPy and NumPy, which solve the same conditions in other bases."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +16,7 @@ from jaxbiped.planner.polynomial import (
     join,
     quintic,
     shift,
+    solve,
     spline_slopes,
 )
 
@@ -28,7 +31,7 @@ PATTERNS = {
 
 
 def _hermite(degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Orders of the conditions at the first and at the last time: half of them each, one more at the first."""
+    """Orders of the conditions at the first and at the last time: half each, one more at the first."""
     at_start = (degree + 2) // 2
     return tuple(range(at_start)), tuple(range(degree + 1 - at_start))
 
@@ -39,7 +42,7 @@ def _random_spans(rng: np.random.Generator, cases: int) -> tuple[np.ndarray, np.
 
 
 def _random_hermite(degree: int, seed: int):
-    """Times, values and probe times of random problems, and SciPy's value, velocity and acceleration there."""
+    """Times, values and probes of random problems, and SciPy's value, velocity, acceleration there."""
     rng = np.random.default_rng(seed)
     first, last = _hermite(degree)
     start, end = _random_spans(rng, CASES)
@@ -85,7 +88,7 @@ def test_boundary_polynomial_is_scipys(degree, x64):
 
 @pytest.mark.parametrize(("degree", "tolerance"), [(3, 2e-6), (5, 2e-5), (6, 5e-5), (9, 5e-4)])
 def test_boundary_polynomial_in_float32(degree, tolerance):
-    """At times up to 20 s, where a float32 second has 2e-6 s resolution; relative to the curve's largest value."""
+    """At times up to 20 s, where float32 resolves 2e-6 s; relative to the curve's largest value."""
     times, values, probes, _ = _random_hermite(degree, seed=degree)
     times, values, probes = (np.asarray(a, np.float32) for a in (times, values, probes))
     first, _ = _hermite(degree)
@@ -151,7 +154,7 @@ def test_boundary_polynomial_derivatives_are_those_of_finite_differences(x64):
     ],
 )
 def test_boundary_polynomial_refuses_wrong_conditions(times, orders, values):
-    with pytest.raises(ValueError, match="got .*, allowed: "):
+    with pytest.raises(ValueError, match=r"got .*, allowed: "):
         boundary_polynomial(times, orders, values)
 
 
@@ -173,7 +176,7 @@ def test_coupled_polynomials_are_a_clamped_spline(x64):
         ],
     )
     spline = CubicSpline(knots, points, bc_type=((1, ends[0]), (1, ends[1])))
-    for piece, (a, b) in zip(pieces, zip(knots[:-1], knots[1:], strict=True), strict=True):
+    for piece, (a, b) in zip(pieces, itertools.pairwise(knots), strict=True):
         for t in np.linspace(a, b, 5):
             for order in (0, 1, 2):
                 assert np.isclose(piece.derivative(t, order), spline(t, order), rtol=0.0, atol=1e-12)
@@ -224,3 +227,19 @@ def test_shift_mirrors_raises_and_delays(x64):
     for t in (1.0, 1.4, 2.0):
         assert np.isclose(moved(t + 3.0), 7.0 - polynomial(t), rtol=0.0, atol=1e-13)
         assert np.isclose(moved.derivative(t + 3.0, 2), -polynomial.derivative(t, 2), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 4, 9, 48])
+def test_solve_is_numpys(n, x64):
+    """With zeros on the diagonal, so that rows must be exchanged."""
+    rng = np.random.default_rng(n)
+    matrices, right = rng.normal(size=(CASES, n, n)), rng.normal(size=(CASES, n))
+    matrices[:, range(n - 1), range(n - 1)] = 0.0
+    got = jax.jit(jax.vmap(solve))(jnp.asarray(matrices), jnp.asarray(right))
+    residual = np.einsum("cij,cj->ci", matrices, got) - right
+    assert np.abs(residual).max() < 1e-10
+    for i in range(CASES):
+        condition = np.linalg.cond(matrices[i])
+        assert np.allclose(
+            got[i], np.linalg.solve(matrices[i], right[i]), rtol=1e-13 * condition, atol=1e-14 * condition
+        )

@@ -174,7 +174,7 @@ def _equation_4(p) -> np.ndarray:
 
 @functools.cache
 def _steady():
-    """Eqs. 3 to 5 of every gait on a grid over each of the two pieces: (gait, equation, order, piece, time)."""
+    """Eqs. 3 to 5 of every gait on a grid over both pieces: (gait, equation, order, piece, time)."""
     s = np.linspace(0.0, 1.0, 11)
 
     @jax.jit
@@ -276,7 +276,7 @@ def test_pelvis_z_is_equation_5(batch, steady):
 
 @pytest.mark.parametrize(("n_steps", "first_swing"), WALKS)
 def test_walk_is_twice_continuously_differentiable(n_steps, first_swing, batch):
-    """Soles and pelvis at every phase change, from the start to the stop, of gaits A to E and 200 random ones."""
+    """Soles and pelvis at every phase change, start and stop too, of gaits A to E and 200 random ones."""
     changes = _phase_changes(batch, n_steps)
     before = _walk(batch, changes - BESIDE, n_steps, first_swing)
     after = _walk(batch, changes + BESIDE, n_steps, first_swing)

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbiped import robot
 from jaxbiped.adapt import Controller
-from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params, polynomial_params
+from jaxbiped.planner import CosineGait, PolynomialGait, StartStop, cosine_params, polynomial_params
 from jaxbiped.sim import Options, Scenario, mjx_adapter
 from jaxbiped.sim.rollout import Walk, make_feed_forward, simulate
 
@@ -41,14 +41,24 @@ def setup(name: str, n_steps: int = N_STEPS, **options: Any) -> Setup:
 
 
 def standing(one: Setup) -> Any:
-    """The same kind of gait that does not begin to walk before FOREVER has passed."""
-    if one.params.name == "surena3":
-        p = eqx.tree_at(lambda p: p.T_ini, polynomial_params("surena3"), jnp.asarray(FOREVER))
-        gait = PolynomialGait.make(one.params, p, one.gait.n_steps)
-        return gait
-    p = cosine_params("elkahlout")
-    p = eqx.tree_at(lambda p: (p.T_ini, p.w, p.b_s), p, (jnp.asarray(FOREVER), jnp.asarray(0.0), jnp.asarray(0.0)))
-    return CosineGait.make(one.params, p, one.gait.n_steps)
+    """A gait of the same kind that does not begin to walk before FOREVER has passed, nor go anywhere then."""
+    if isinstance(one.gait, CosineGait):
+        p = changed(cosine_params(one.params.name), T_ini=FOREVER, w=0.0, b_s=0.0)
+        return CosineGait.make(one.params, p, one.gait.n_steps)
+    p = polynomial_params(one.params.name)
+    x, z = float(p.start_stop.x_rest_start), float(p.z_min)
+    ends = {f: -x if f.startswith("x_s_") else x for f in StartStop.__dataclass_fields__}
+    ends = StartStop(**{**ends, "v_first": 0.0, "v_last": 0.0})
+    half = 0.5 * float(p.L_p)
+    p = changed(p, T_ini=FOREVER, D_s=0.0, x_s=-x, x_e=x, y_d=half, y_m=half, z_max=z)
+    return PolynomialGait.make(one.params, eqx.tree_at(lambda p: p.start_stop, p, ends), one.gait.n_steps)
+
+
+def changed(record: Any, **values: Any) -> Any:
+    """A record with other numbers in some fields."""
+    names = list(values)
+    new = [jnp.asarray(values[n], jnp.result_type(float)) for n in names]
+    return eqx.tree_at(lambda r: [getattr(r, n) for n in names], record, new)
 
 
 def stack(items: list[Any]) -> Any:

@@ -1,0 +1,110 @@
+"""Figures of simulated walks, laid over each other: trunk tilt, foot forces, measured ZMP, what adaptation did."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxbiped.report.figures import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    ORANGE,
+    PURPLE,
+    SIDE_COLORS,
+    SIDE_DASHES,
+    panels_over_time,
+)
+from jaxbiped.robot import SIDE_NAMES
+
+LINE_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK)
+
+
+def tilt_and_forces(walks: Mapping[str, Any], title: str, until: float | None = None) -> Figure:
+    """Draw trunk roll and pitch and both feet's vertical force of several walks (khadiv Figs. 12 and 13).
+
+    Args:
+        walks: traces (`sim.Sample` with a leading axis) by the name to show; the first one's phases are shaded.
+        title: heading of the figure.
+        until: last time to draw [s].
+    """
+    first = next(iter(walks.values()))
+    shown = _shown(first, until)
+    panels, finish = panels_over_time(
+        4, title, np.asarray(first.targets.phase.support)[shown], np.asarray(first.time)[shown], 8.4
+    )
+    for color, (name, trace) in zip(LINE_COLORS, walks.items(), strict=False):
+        rows = _shown(trace, until) & _walking(trace)
+        time = np.asarray(trace.time)[rows]
+        tilt, force = np.degrees(np.asarray(trace.roll_pitch_yaw)), np.asarray(trace.foot_force)[..., 2]
+        for axes, values in zip(panels, (tilt[:, 0], tilt[:, 1], force[:, 0], force[:, 1]), strict=True):
+            axes.plot(time, values[rows], color=color, lw=1.2, label=name)
+    for axes, label in zip(panels, ("trunk roll [deg]", "trunk pitch [deg]"), strict=False):
+        axes.set_ylabel(label)
+    for axes, side in zip(panels[2:], SIDE_NAMES, strict=True):
+        axes.set_ylabel(f"{side} foot\nvertical force [N]")
+    return finish()
+
+
+def measured_zmp(trace: Any, plan: Any, title: str) -> Figure:
+    """Draw the measured centre of pressure over the plan's ZMP and support, forward and lateral.
+
+    Args:
+        trace: `sim.Sample` with a leading axis.
+        plan: `planner.Feasibility` at the trace's times.
+        title: heading of the figure.
+    """
+    time = np.asarray(trace.time)
+    panels, finish = panels_over_time(2, title, np.asarray(trace.targets.phase.support), time, 6.0)
+    for axis, axes in enumerate(panels):
+        for edge, label in (
+            (plan.support_lower, "_lower"),
+            (plan.support_upper, "edges of the planned support"),
+        ):
+            axes.plot(
+                time, np.asarray(edge)[:, axis], color=GREEN, lw=1.0, drawstyle="steps-mid", label=label
+            )
+        axes.plot(time, np.asarray(plan.zmp)[:, axis], color=FAINT, lw=1.4, ls=":", label="planned ZMP")
+        axes.plot(time, np.asarray(trace.zmp_world)[:, axis], color=INK, lw=1.0, label="measured ZMP")
+        axes.set_ylabel(("forward, x [m]", "lateral (left), y [m]")[axis])
+    return finish()
+
+
+def modifications(trace: Any, nominal: Any, title: str) -> Figure:
+    """Draw what adaptation added to the plan (khadiv Fig. 11): feet forward and up, pelvis up.
+
+    Args:
+        trace: `sim.Sample` with a leading axis.
+        nominal: the plan's `TaskSpace` at the trace's times.
+        title: heading of the figure.
+    """
+    time = np.asarray(trace.time)
+    panels, finish = panels_over_time(3, title, np.asarray(trace.targets.phase.support), time, 6.6)
+    added = 1e3 * (np.asarray(trace.targets.position.sole) - np.asarray(nominal.sole))
+    closed = np.asarray(trace.switch).any(axis=-1)
+    for side, name in enumerate(SIDE_NAMES):
+        style = {"color": SIDE_COLORS[side], "ls": SIDE_DASHES[side]}
+        panels[0].plot(time, added[:, side, 0], label=f"{name} foot", **style)
+        panels[1].plot(time, added[:, side, 2], label=f"{name} foot", **style)
+        touches = np.flatnonzero(closed[1:, side] & ~closed[:-1, side]) + 1
+        panels[1].plot(
+            time[touches], added[touches, side, 2], "o", ms=4, color=SIDE_COLORS[side], label="_touch"
+        )
+    pelvis = 1e3 * (np.asarray(trace.targets.position.pelvis) - np.asarray(nominal.pelvis))
+    panels[2].plot(time, pelvis[:, 2], color=INK, label="pelvis")
+    for axes, label in zip(panels, ("feet forward\n[mm]", "feet up\n[mm]", "pelvis up\n[mm]"), strict=True):
+        axes.set_ylabel(label)
+    return finish()
+
+
+def _shown(trace: Any, until: float | None) -> np.ndarray:
+    time = np.asarray(trace.time)
+    return time <= (np.inf if until is None else until)
+
+
+def _walking(trace: Any) -> np.ndarray:
+    """Rows before a lane froze: time stands still in a fallen one."""
+    time = np.asarray(trace.time)
+    return np.concatenate([[True], np.diff(time) > 0.0])
