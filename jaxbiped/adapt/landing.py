@@ -337,7 +337,7 @@ def _smooth(u: Scalar) -> Scalar:
 
 def _set_down(t: Scalar, T: Scalar, v: Scalar, a: Scalar, way: Scalar) -> Scalar:
     """Quintic from (0, v, a) at 0 to (way, 0, 0) at T, held there (khadiv Eqs. 6 and 7)."""
-    r = jnp.clip(t / T, 0.0, 1.0)
+    r = jnp.minimum(t / T, 1.0)  # not clipped at 0: there the velocity must be v, not half of it
     r2 = r * r
     r3 = r2 * r
     from_velocity = r + r3 * (-6.0 + r * (8.0 - 3.0 * r))

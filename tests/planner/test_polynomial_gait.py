@@ -5,12 +5,15 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import polynomial_walks
 import pytest
 import surena3_gaits
+from polynomial_walks import KNOWN, LONG_WALKS, WALKS, duration, one, planned
+from polynomial_walks import targets as targets_at
 from scipy.interpolate import CubicSpline
 
 from jaxbiped import robot
-from jaxbiped.planner import DOUBLE_SUPPORT, SINGLE_SUPPORT, PolynomialGait, PolynomialParams, StartStop, at
+from jaxbiped.planner import DOUBLE_SUPPORT, SINGLE_SUPPORT, PolynomialGait, at
 from jaxbiped.planner.polynomial_gait import (
     steady_pelvis_x,
     steady_pelvis_y,
@@ -20,88 +23,18 @@ from jaxbiped.planner.polynomial_gait import (
 )
 from jaxbiped.robot import LEFT, RIGHT
 
-GAITS = range(len(surena3_gaits.NAMES))
-"""The first rows of a `batch`; random ones follow."""
-C = surena3_gaits.NAMES.index("C")
-RANDOM = 200
+LONG = LONG_WALKS[0]
+GAITS = range(len(KNOWN))
+C = KNOWN.index("C")
 JUMP = 1e-9
 """Largest jump of position [m], velocity [m/s] and acceleration [m/s2] at a phase change."""
 BESIDE = 1e-13
 """How far beside a phase change [s]; a jerk of 500 m/s3 makes 1e-10 m/s2 of it."""
-WALKS = [(n_steps, first_swing) for n_steps in (1, 2, 3, 8) for first_swing in (LEFT, RIGHT)]
-LONG = (24, LEFT)
-SAMPLES = 400
-
-
-def _random_params(rng: np.random.Generator) -> PolynomialParams:
-    near, far = rng.uniform(-0.1, 0.1, 8), rng.uniform(-0.05, 0.05, 2)
-    T_d, z_min = rng.uniform(0.2, 1.2), rng.uniform(0.70, 0.74)
-    return PolynomialParams(
-        D_s=rng.uniform(0.0, 0.35),
-        T_s=rng.uniform(0.5, 2.0),
-        T_d=T_d,
-        H_max=rng.uniform(0.02, 0.15),
-        x_s=rng.uniform(-0.1, 0.1),
-        x_e=rng.uniform(-0.1, 0.1),
-        y_d=rng.uniform(-0.05, 0.1),
-        y_m=rng.uniform(-0.05, 0.05),
-        z_max=z_min + rng.uniform(0.0, 0.03),
-        z_min=z_min,
-        L_p=rng.uniform(0.2, 0.3),
-        T_ini=0.5 * T_d + rng.uniform(0.0, 2.0),
-        T_end=0.5 * T_d + rng.uniform(0.3, 2.0),
-        start_stop=StartStop(*near, *far),
-    )
-
-
-def _batch() -> PolynomialParams:
-    """Gaits A to E and random ones, stacked."""
-    rng = np.random.default_rng(0)
-    every = [surena3_gaits.params(name) for name in surena3_gaits.NAMES]
-    every += [_random_params(rng) for _ in range(RANDOM)]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
-
-
-def _one(batch, i):
-    return jax.tree.map(lambda leaf: float(leaf[i]), batch)
-
-
-@functools.cache
-def _planned():
-    """The batch, and by walk its planned gaits: one compilation for all (float64)."""
-
-    @jax.jit
-    @functools.partial(jax.vmap, in_axes=(None, 0))
-    def plan(surena3, params):
-        return [PolynomialGait.make(surena3, params, *walk) for walk in (*WALKS, LONG)]
-
-    batch = _batch()
-    return batch, dict(zip((*WALKS, LONG), plan(robot.load("surena3"), batch), strict=True))
 
 
 @pytest.fixture
 def batch(x64):
-    return _planned()[0]
-
-
-@jax.jit
-@jax.vmap
-def _targets(gait, times):
-    return jax.vmap(lambda t: at(gait, t))(times)
-
-
-def _walk(batch, times, n_steps, first_swing):
-    """Targets as NumPy arrays; `times` (n,) are shares of the walk or (batch, n) seconds, n <= SAMPLES."""
-    if np.ndim(times) == 1:
-        times = times * _duration(batch, n_steps)[:, None]
-    count = times.shape[1]
-    padded = np.pad(times, ((0, 0), (0, SAMPLES - count)), mode="edge")  # one shape, one compilation a walk
-    got = _targets(_planned()[1][n_steps, first_swing], jnp.asarray(padded))
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[:, :count], got)
-
-
-def _duration(batch, n_steps):
-    return np.asarray(batch.T_ini + n_steps * batch.T_s + (n_steps - 1) * batch.T_d + batch.T_end)
+    return polynomial_walks.batch()
 
 
 def _phase_changes(batch, n_steps):
@@ -109,7 +42,7 @@ def _phase_changes(batch, n_steps):
     T_ini, T_s, T_d = (np.asarray(leaf)[:, None] for leaf in (batch.T_ini, batch.T_s, batch.T_d))
     liftoff = T_ini + np.arange(n_steps) * (T_s + T_d)
     highest, lowest = liftoff + 0.5 * T_s, liftoff + T_s + 0.5 * T_d
-    first, end = T_ini - 0.5 * T_d, _duration(batch, n_steps)[:, None]
+    first, end = T_ini - 0.5 * T_d, duration(n_steps)[:, None]
     changes = [np.zeros_like(T_ini), first, liftoff, liftoff + T_s, highest, lowest, end]
     return np.concatenate(changes, axis=1)
 
@@ -199,7 +132,7 @@ def _steady():
             ]
         )
 
-    return np.asarray(curves(_planned()[0]))
+    return np.asarray(curves(polynomial_walks.batch()))
 
 
 @pytest.fixture
@@ -211,7 +144,7 @@ def test_pelvis_x_is_equation_3(batch, steady):
     """Eight conditions: four values, C2 at T_s and, periodically, from T_c to 0; SciPy's periodic spline."""
     s = np.linspace(0.0, 1.0, 11)
     for i, got in enumerate(steady[:, 0]):
-        p = _one(batch, i)
+        p = one(i)
         T_c, speed = p.T_s + p.T_d, p.D_s / (p.T_s + p.T_d)
         knots = [0.0, p.T_s, T_c]
         less_drift = [-p.x_s, p.x_e - speed * p.T_s, -p.x_s]
@@ -235,7 +168,7 @@ def test_pelvis_x_meets_the_conditions_of_equation_3(batch, steady):
 def test_pelvis_y_is_equation_4(batch, steady):
     s = np.linspace(0.0, 1.0, 11)
     for i, got in enumerate(steady[:, 1]):
-        p = _one(batch, i)
+        p = one(i)
         c = _equation_4(p)
         for piece, (a, b, coefficients) in enumerate(
             [(0.0, p.T_s, c[:5]), (p.T_s, p.T_s + p.T_d, c[5:])],
@@ -278,8 +211,8 @@ def test_pelvis_z_is_equation_5(batch, steady):
 def test_walk_is_twice_continuously_differentiable(n_steps, first_swing, batch):
     """Soles and pelvis at every phase change, start and stop too, of gaits A to E and 200 random ones."""
     changes = _phase_changes(batch, n_steps)
-    before = _walk(batch, changes - BESIDE, n_steps, first_swing)
-    after = _walk(batch, changes + BESIDE, n_steps, first_swing)
+    before = targets_at(changes - BESIDE, n_steps, first_swing)
+    after = targets_at(changes + BESIDE, n_steps, first_swing)
     for derivative in ("position", "velocity", "acceleration"):
         jump = _flat(getattr(after, derivative)) - _flat(getattr(before, derivative))
         assert np.abs(jump).max() < JUMP, derivative
@@ -287,10 +220,10 @@ def test_walk_is_twice_continuously_differentiable(n_steps, first_swing, batch):
 
 @pytest.mark.parametrize(("n_steps", "first_swing"), WALKS)
 def test_walk_starts_and_stops_at_rest(n_steps, first_swing, batch):
-    end = _duration(batch, n_steps)[:, None]
+    end = duration(n_steps)[:, None]
     times = np.concatenate([0.0 * end - 5.0, 0.0 * end, end, end + 5.0], axis=1)
-    targets = _walk(batch, times, n_steps, first_swing)
-    duration = jax.vmap(lambda gait: gait.duration)(_planned()[1][n_steps, first_swing])
+    targets = targets_at(times, n_steps, first_swing)
+    duration = jax.vmap(lambda gait: gait.duration)(planned(n_steps, first_swing))
     position = _flat(targets.position)
     assert np.allclose(duration, end[:, 0], rtol=1e-15)
     assert np.allclose(position[:, 0], position[:, 1], rtol=0.0, atol=1e-12)
@@ -310,7 +243,7 @@ def test_walk_starts_and_stops_at_rest(n_steps, first_swing, batch):
 
 @pytest.mark.parametrize(("n_steps", "first_swing"), WALKS)
 def test_feet_stand_still_or_swing_over_the_ground(n_steps, first_swing, batch):
-    targets = _walk(batch, (np.arange(400) + 0.5) / 400, n_steps, first_swing)
+    targets = targets_at((np.arange(400) + 0.5) / 400, n_steps, first_swing)
     sole, phase = targets.position.sole, targets.phase
     L_p = np.asarray(batch.L_p)[:, None, None]
     assert sole[..., 2].min() > -1e-14
@@ -328,8 +261,8 @@ def test_feet_stand_still_or_swing_over_the_ground(n_steps, first_swing, batch):
 @pytest.mark.parametrize("n_steps", [1, 2, 3, 8])
 def test_walk_with_the_other_foot_first_is_the_mirror_image(n_steps, batch):
     shares = np.linspace(-0.05, 1.05, 400)
-    left = _walk(batch, shares, n_steps, LEFT)
-    right = _walk(batch, shares, n_steps, RIGHT)
+    left = targets_at(shares, n_steps, LEFT)
+    right = targets_at(shares, n_steps, RIGHT)
     for derivative in ("position", "velocity", "acceleration"):
         a, b = getattr(left, derivative), getattr(right, derivative)
         assert np.array_equal(a.sole, b.sole[:, :, ::-1] * [1.0, -1.0, 1.0])
@@ -342,9 +275,9 @@ def test_walk_with_the_other_foot_first_is_the_mirror_image(n_steps, batch):
 def test_velocity_and_acceleration_are_those_of_finite_differences(batch):
     h, n_steps = 1e-4, 3
     changes = _phase_changes(batch, n_steps)
-    times = np.linspace(0.01, 0.99, 60) * _duration(batch, n_steps)[:, None]
+    times = np.linspace(0.01, 0.99, 60) * duration(n_steps)[:, None]
     clear = np.abs(times[:, :, None] - changes[:, None, :]).min(axis=-1) > 2 * h
-    before, middle, after = (_walk(batch, times + s, n_steps, LEFT) for s in (-h, 0.0, h))
+    before, middle, after = (targets_at(times + s, n_steps, LEFT) for s in (-h, 0.0, h))
     velocity = (_flat(after.position) - _flat(before.position)) / (2 * h)
     acceleration = (_flat(after.velocity) - _flat(before.velocity)) / (2 * h)
     # the truncation error is h**2 / 6 times the third derivative of what is differentiated
@@ -367,7 +300,7 @@ def test_swing_foot_goes_from_foothold_to_foothold(first_swing, batch):
         (0.5, 0.5 * (come_from + go_to), 1.0),
         (1 - 1e-9, go_to, 0.0),
     ]:
-        targets = _walk(batch, liftoff + share * T_s, n_steps, first_swing)
+        targets = targets_at(liftoff + share * T_s, n_steps, first_swing)
         foot = targets.position.sole[:, k, swing]
         assert np.array_equal(targets.phase.swing, np.broadcast_to(swing, liftoff.shape))
         assert np.allclose(foot[..., 0], np.asarray(batch.D_s)[:, None] * x, rtol=0.0, atol=1e-9)
@@ -379,12 +312,12 @@ def test_pelvis_passes_y_m_and_z_max_in_every_single_support_and_z_min_in_every_
     k = np.arange(n_steps)
     T_ini, T_s, T_d = (np.asarray(leaf)[:, None] for leaf in (batch.T_ini, batch.T_s, batch.T_d))
     liftoff = T_ini + k * (T_s + T_d)
-    single = _walk(batch, liftoff + 0.5 * T_s, n_steps, LEFT)
+    single = targets_at(liftoff + 0.5 * T_s, n_steps, LEFT)
     stance_y = np.take_along_axis(single.position.sole[..., 1], 1 - single.phase.swing[..., None], -1)[..., 0]
     from_stance = (single.position.pelvis[..., 1] - stance_y) * -np.sign(stance_y)
     assert np.allclose(from_stance, np.asarray(batch.y_m)[:, None], rtol=0.0, atol=1e-9)
     assert np.allclose(single.position.pelvis[..., 2], np.asarray(batch.z_max)[:, None], rtol=0.0, atol=1e-9)
-    double = _walk(batch, liftoff + T_s + 0.5 * T_d, n_steps, LEFT)
+    double = targets_at(liftoff + T_s + 0.5 * T_d, n_steps, LEFT)
     assert np.allclose(double.position.pelvis[..., 2], np.asarray(batch.z_min)[:, None], rtol=0.0, atol=1e-9)
 
 
@@ -395,9 +328,9 @@ def test_pelvis_x_in_the_middle_of_a_walk_is_equation_3(n_steps, tolerance, batc
     k = n_steps // 2
     since_liftoff = shares * np.asarray(batch.T_s + batch.T_d)[:, None]
     times = since_liftoff + np.asarray(batch.T_ini + k * (batch.T_s + batch.T_d))[:, None]
-    targets = _walk(batch, times, n_steps, LEFT)
+    targets = targets_at(times, n_steps, LEFT)
     for i in GAITS:
-        p = _one(batch, i)
+        p = one(i)
         speed = p.D_s / (p.T_s + p.T_d)
         knots = [0.0, p.T_s, p.T_s + p.T_d]
         spline = CubicSpline(knots, [-p.x_s, p.x_e - speed * p.T_s, -p.x_s], bc_type="periodic")
@@ -424,27 +357,24 @@ def _plain_phase(p, n_steps, first_swing, t):
 @pytest.mark.parametrize(("n_steps", "first_swing"), WALKS)
 def test_phase_is_that_of_a_plain_time_table(n_steps, first_swing, batch):
     shares = np.linspace(-0.2, 1.2, 400)
-    times = shares * _duration(batch, n_steps)[:, None]
-    targets = _walk(batch, shares, n_steps, first_swing)
+    times = shares * duration(n_steps)[:, None]
+    targets = targets_at(shares, n_steps, first_swing)
     phase = targets.phase
     for i in [*GAITS, *range(len(GAITS), len(GAITS) + 20)]:
-        p = _one(batch, i)
+        p = one(i)
         table = np.array([_plain_phase(p, n_steps, first_swing, t) for t in times[i]])
         got = (phase.step, phase.swing, phase.support, phase.time_in_phase, phase.time_since_liftoff)
         for column, field in zip(table.T, got, strict=True):
             assert np.allclose(field[i], column, rtol=0.0, atol=1e-12)
 
 
-def test_make_with_known_numbers_plans_the_traced_walk(batch):
-    """Outside jit, where parameters are checked; in float64 and, to a few micrometres, in float32."""
-    times = np.linspace(0.0, _duration(batch, LONG[0])[C], SAMPLES).astype(np.float32)
-    expected = _walk(batch, np.tile(times.astype(float), (len(batch.D_s), 1)), *LONG)
-    for x64, tolerance in ((True, 1e-13), (False, 5e-6)):
-        with jax.enable_x64(x64):
-            gait = PolynomialGait.make(robot.load("surena3"), surena3_gaits.params("C"), *LONG)
-            got = jax.jit(lambda g, t: jax.vmap(lambda s: at(g, s).position)(t))(
-                gait, jnp.asarray(times, float)
-            )
-        assert got.pelvis.dtype == (np.float64 if x64 else np.float32)
-        assert np.abs(got.sole - expected.position.sole[C]).max() < tolerance
-        assert np.abs(got.pelvis - expected.position.pelvis[C]).max() < tolerance
+def test_make_with_known_numbers_in_float32_plans_the_same_walk_to_a_few_micrometres(batch):
+    """Outside jit, where parameters are checked; 24 steps, so far from the origin and from time 0."""
+    times = np.linspace(0.0, duration(LONG[0])[C], 400).astype(np.float32)
+    expected = targets_at(np.tile(times.astype(float), (len(batch.D_s), 1)), *LONG)
+    with jax.enable_x64(False):
+        gait = PolynomialGait.make(robot.load("surena3"), surena3_gaits.params("C"), *LONG)
+        got = jax.jit(lambda g, t: jax.vmap(lambda s: at(g, s).position)(t))(gait, jnp.asarray(times))
+    assert got.pelvis.dtype == np.float32
+    assert np.abs(got.sole - expected.position.sole[C]).max() < 5e-6
+    assert np.abs(got.pelvis - expected.position.pelvis[C]).max() < 5e-6

@@ -1,0 +1,246 @@
+"""The landing stage against the equations: golden T_mod, T*, and a tick-by-tick NumPy transcription of Eqs. 6-16.
+
+No physics: a foot that is commanded to within the gap of its step's ground closes its switches.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbiped import planner, robot
+from jaxbiped.adapt import Controller, Landing, Sensed
+from jaxbiped.adapt.landing import longest_T_mod, nominal_T_mod
+
+DT = 0.002
+N_STEPS = 6
+DELTA_Z = 0.01
+
+
+def blind(time, switch, switch_time):
+    """A reading of switches and clock only."""
+    zeros = jnp.zeros
+    return Sensed(
+        time=time,
+        switch=switch,
+        switch_time=switch_time,
+        corner_force=zeros((2, 4)),
+        ankle_wrench=zeros((2, 6)),
+        angle=zeros((2, 6)),
+        speed=zeros((2, 6)),
+        roll_pitch=zeros(2),
+        rate=zeros(3),
+        zmp_world=zeros(2),
+        zmp_body=zeros(2),
+    )
+
+
+def sole_and_pelvis(targets):
+    """Position, velocity and acceleration of (left sole, right sole, pelvis), (3 orders, 3 bodies, 3)."""
+    orders = (targets.position, targets.velocity, targets.acceleration)
+    return jnp.stack([jnp.concatenate([order.sole, order.pelvis[None]]) for order in orders])
+
+
+@partial(jax.jit, static_argnums=2)
+def walk(controller, heights, ticks):
+    """Step the controller over ground of a height per step: what it commands, the plan, switches, and misses."""
+
+    def tick(carry, i):
+        state, before, closed_at = carry
+        time = i * DT
+        phase = controller.gait.phase(time)
+        close = before[:, 2] <= heights[phase.step] + DELTA_Z
+        swings = jnp.arange(2) == phase.swing
+        closed = close & swings & (phase.time_since_liftoff > 0.0)
+        closed_at = jnp.where(closed, jnp.minimum(closed_at, time), jnp.inf)
+        spread = [jnp.broadcast_to(leaf[:, None], (2, 4)) for leaf in (closed, closed_at)]
+        state, targets = controller.step(state, blind(time, *spread))
+        row = (sole_and_pelvis(targets), sole_and_pelvis(planner.at(controller.gait, time)), closed.any(), phase)
+        return (state, targets.position.sole, closed_at), row
+
+    start = (controller.init(), controller.gait.task(jnp.zeros(())).sole, jnp.full(2, jnp.inf))
+    (state, _, _), rows = jax.lax.scan(tick, start, jnp.arange(ticks))
+    return *rows, state.landing.missed
+
+
+@pytest.fixture(scope="module")
+def gait():
+    with jax.enable_x64(True):
+        return planner.PolynomialGait.preset(robot.load("surena3"), N_STEPS)
+
+
+def heights_of(**steps):
+    heights = np.zeros(N_STEPS)
+    for name, height in steps.items():
+        heights[int(name.removeprefix("step"))] = height
+    return jnp.asarray(heights)
+
+
+def ticks_of(gait):
+    return int(float(gait.duration) / DT)
+
+
+@pytest.mark.parametrize(
+    ("delta_z", "T_mod"), [(0.005, 0.123), (0.01, 0.161), (0.015, 0.189), (0.02, 0.213)]
+)
+def test_nominal_T_mod_is_the_time_the_plan_needs(x64, gait, delta_z, T_mod):
+    ours = nominal_T_mod(gait, jnp.asarray(delta_z))
+    assert float(ours) == pytest.approx(T_mod, abs=6e-4)
+    at_touch = gait.task(gait.timing.touchdown(0) - ours)
+    assert float(at_touch.sole[gait.first_swing, 2]) == pytest.approx(delta_z, abs=1e-12)
+
+
+def test_derivative_of_nominal_T_mod(x64, gait):
+    slope = jax.jacfwd(partial(nominal_T_mod, gait))(jnp.asarray(0.01))
+    step = 1e-5
+    secant = (nominal_T_mod(gait, jnp.asarray(0.01 + step)) - nominal_T_mod(gait, jnp.asarray(0.01 - step))) / (2 * step)
+    assert float(slope) == pytest.approx(float(secant), rel=1e-6)
+    assert float(slope) > 1.0
+
+
+def quintic(v, a, way, T):
+    """Coefficients of the quintic from (0, v, a) to (way, 0, 0), solved as a linear system."""
+    powers = np.arange(6)
+    end = T ** powers.astype(float)
+    rows = [end, np.r_[0, powers[1:] * T ** (powers[1:] - 1.0)]]
+    rows.append(np.r_[0, 0, (powers * (powers - 1))[2:] * T ** (powers[2:] - 2.0)])
+    fixed = np.array([0.0, v, a / 2])
+    rest = np.linalg.solve(np.array(rows)[:, 3:], np.array([way, 0, 0]) - np.array(rows)[:, :3] @ fixed)
+    return np.r_[fixed, rest]
+
+
+def test_T_star_never_undershoots_and_is_tight(x64):
+    """4,000 random touches: at T* the foot never goes below the ground; a fifth longer, and nearly all do."""
+    rng = np.random.default_rng(1)
+    beyond = []
+    for v, a, dz in zip(rng.uniform(0.02, 0.6, 4000), rng.uniform(-3, 6, 4000), rng.uniform(0.003, 0.03, 4000)):
+        T = float(longest_T_mod(*map(jnp.asarray, (-v, a, dz))))
+        if not np.isfinite(T):
+            assert 64 * v * v < 80 * a * dz
+            continue
+        for stretch in (1.0, 1.2):
+            s = np.linspace(0, 1, 200)
+            depth = np.polynomial.polynomial.polyval(s * stretch * T, quintic(-v, a, -dz, stretch * T)).min() + dz
+            if stretch == 1.0:
+                assert depth > -1e-9 * dz
+            else:
+                beyond.append(depth < -1e-6 * dz)
+    assert len(beyond) > 3000
+    assert np.mean(beyond) > 0.95
+
+
+def test_flat_ground_stays_within_a_millimetre_of_the_plan(x64, gait):
+    ours, plan, *_ = walk(Controller(gait, landing=Landing.repaired()), heights_of(), ticks_of(gait))
+    assert np.abs(ours[:, 0] - plan[:, 0]).max() < 1e-3
+
+
+@pytest.mark.parametrize("arm", [Landing.paper, Landing.repaired])
+@pytest.mark.parametrize("height", [0.01, 0.03, 0.05])
+def test_obstacle_is_stood_on_and_released(x64, gait, arm, height):
+    """The foot stands at the obstacle's height until T_c; one single support later nothing is left vertically."""
+    ours, plan, _, phase, missed = walk(Controller(gait, landing=arm()), heights_of(step2=height), ticks_of(gait))
+    foot = int((gait.first_swing + 2) % 2)
+    kept = np.flatnonzero((phase.step == 2) & (phase.time_since_liftoff > gait.params.T_s + 0.05))
+    added = np.asarray(ours - plan)[:, 0]
+    np.testing.assert_allclose(added[kept, foot, 2], height, atol=1.2e-3)
+    assert np.all(added[kept, foot, 0] < 0.0)
+    np.testing.assert_array_equal(added[kept, 2], 0.0)
+    released = np.flatnonzero((phase.step == 3) & (phase.time_since_liftoff > gait.params.T_s))
+    np.testing.assert_allclose(added[released, foot, 2], 0.0, atol=1e-12)
+    assert int(missed) == 0
+
+
+@pytest.mark.parametrize("arm", [Landing.paper, Landing.repaired])
+@pytest.mark.parametrize("depth", [0.02, 0.04])
+def test_hole_is_reached_with_the_pelvis_following(x64, gait, arm, depth):
+    ours, plan, _, phase, missed = walk(Controller(gait, landing=arm()), heights_of(step2=-depth), ticks_of(gait))
+    foot = int((gait.first_swing + 2) % 2)
+    end = np.flatnonzero(phase.step == 2)[-1]
+    added = np.asarray(ours - plan)[end, 0]
+    assert added[foot, 2] == pytest.approx(-depth, abs=1e-3)
+    pelvis = added[2, 2] if arm == Landing.repaired else added[2, 2] - DELTA_Z
+    assert pelvis == pytest.approx(-depth, abs=1e-3)
+    assert int(missed) == 0
+
+
+def test_repaired_commands_are_smooth(x64, gait):
+    """C2 but for the instants of touch: no jump between ticks beyond what velocity and acceleration explain."""
+    heights = heights_of(step1=0.03, step2=-0.03, step4=0.02)
+    ours, *_ = walk(Controller(gait, landing=Landing.repaired()), heights, ticks_of(gait))
+    p, v, a = np.moveaxis(np.asarray(ours), 1, 0)
+    predicted = p[:-1] + DT * v[:-1] + 0.5 * DT**2 * a[:-1]
+    assert np.abs(p[1:] - predicted).max() < 2e-6
+    assert np.abs(v[1:] - v[:-1] - DT * a[:-1]).max() < 4e-3
+
+
+def test_a_touch_that_never_comes_stops_and_is_counted(x64, gait):
+    ours, plan, _, phase, missed = walk(
+        Controller(gait, landing=Landing.repaired()), heights_of(step2=-1.0), ticks_of(gait)
+    )
+    assert int(missed) == 1
+    foot = int((gait.first_swing + 2) % 2)
+    end = np.flatnonzero(phase.step == 2)[-1]
+    assert -0.0801 <= np.asarray(ours - plan)[end, 0, foot, 2] < -0.05
+    np.testing.assert_allclose(np.asarray(ours)[end, 1, foot, 2], 0.0, atol=1e-2)
+    jump = np.abs(np.diff(np.asarray(ours)[:, 0], axis=0)).max()
+    assert jump < 1.2 * np.abs(np.diff(np.asarray(plan)[:, 0], axis=0)).max()
+
+
+def transcription(plan, closed, phase, delta_x, T_mod, h):
+    """Eqs. 6-16, tick by tick as printed: rows of (left sole, right sole, pelvis)."""
+    out, T_s = np.array(plan[:, 0]), float(phase.T_s[0])
+    foot_delta, pelvis_delta, online, touch, last_step = np.zeros((2, 3)), 0.0, 0.0, None, 0
+    rows = []
+    for i in range(len(out)):
+        step, swing, tau = int(phase.step[i]), int(phase.swing[i]), float(phase.time_since_liftoff[i])
+        row = out[i].copy()
+        if step != last_step:
+            old, final = 1 - swing, rows[-1]
+            foot_delta = np.zeros((2, 3))
+            foot_delta[old] = final[old] - plan[i, 0, old]
+            pelvis_delta, online, touch, last_step = online, 0.0, None, step
+        u = np.clip(tau / T_s, 0.0, 1.0)
+        release = 1.0 - (10 * u**3 - 15 * u**4 + 6 * u**5)
+        row[1 - swing] += release * foot_delta[1 - swing]
+        row[2, 2] += release * pelvis_delta
+        if touch is None and closed[i] and tau >= 0.5 * T_s:
+            late = tau > T_s
+            start = plan[i, 0, swing].copy()
+            if late:
+                online -= h
+                start[2] += online
+            touch = (tau, start, plan[i, 1, swing], plan[i, 2, swing], 0.0 if late else delta_x[step])
+        elif touch is None and tau > T_s + 1e-9:
+            online -= h
+        if touch is None:
+            row[swing, 2] += online
+        else:
+            tau_td, start, v, a, way = touch
+            t = min(tau - tau_td, T_mod)
+            for axis, goal in ((0, way), (2, -DELTA_Z)):
+                mod = np.polynomial.polynomial.polyval(t, quintic(v[axis], a[axis], goal, T_mod))
+                row[swing, axis] = start[axis] + mod
+        row[2, 2] += online
+        rows.append(row)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_paper_arm_is_the_paper(x64, gait, seed):
+    """Random ground under every step: the stage's commands are those of the literal transcription."""
+    heights = np.random.default_rng(seed).uniform(-0.04, 0.05, N_STEPS)
+    controller = Controller(gait, landing=Landing.paper())
+    ours, plan, closed, phase, _ = jax.tree.map(
+        np.asarray, walk(controller, jnp.asarray(heights), ticks_of(gait))
+    )
+    stage = controller.landing
+    theirs = transcription(plan, closed, phase, np.asarray(stage.delta_x), float(stage.T_mod), 0.2 * DT)
+    np.testing.assert_allclose(ours[:, 0], theirs, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["delta_z", "T_mod", "descent_speed", "max_descent", "release_share"])
+def test_what_cannot_be_meant_is_refused(name):
+    with pytest.raises(ValueError, match=rf"{name}: got -1 .*allowed: > 0"):
+        Landing(**{name: jnp.asarray(-1.0)})
