@@ -4,12 +4,16 @@ The closed loop (planner, inverse kinematics, servos, ground, sensors, statistic
 the same robot and gait in C MuJoCo with native contacts (`mujoco.rollout`, controls computed beforehand), in a
 Python loop of `mj_step` with the controller in NumPy, and in plain `mjx.step` with native contacts. All in one
 run, each process on one core with one thread, 0.5 ms per step, JAX in float32.
+
+On a machine with other work, `--clock cpu` counts the time this process had the core instead of the time that passed;
+the rows with several processes always go by the time that passed.
 """
 
 import argparse
 import json
 import os
 import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -58,6 +62,20 @@ class Size(NamedTuple):
     mjx_ticks: int
     repeats: int
     worker_batch: int
+    clock: str = "wall"
+
+    def median_seconds(self, call: Callable[[], Any], least: float = 0.02) -> float:
+        """Median time of one call by the chosen clock [s]; see `common.median_seconds`."""
+        if self.clock == "wall":
+            return common.median_seconds(call, self.repeats, least)
+        measured = []
+        for _ in range(self.repeats):
+            began, calls = time.process_time(), 0
+            while calls == 0 or time.process_time() - began < least:
+                call()
+                calls += 1
+            measured.append((time.process_time() - began) / calls)
+        return statistics.median(measured)
 
 
 FULL = Size((1, 16, 64, 256, 1024), (1, 16, 64, 256), 400, 6.0, 20, 5, 64)
@@ -71,9 +89,10 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
     parser.add_argument("--robot", choices=list(CONTROL_EVERY), default="elkahlout", help="preset")
     parser.add_argument("--worker", choices=list(WORKERS), help=argparse.SUPPRESS)
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="what is measured")
     parser.add_argument("--batch", type=int, default=0, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    size = QUICK if options.quick else FULL
+    size = (QUICK if options.quick else FULL)._replace(clock=options.clock)
     if options.worker:
         WORKERS[options.worker](options.robot, size, options.batch)
         return
@@ -85,15 +104,26 @@ def main() -> None:
 
 def measure(name: str, size: Size, quick: bool) -> dict[str, Any]:
     """All numbers, by name."""
-    ours = {str(n): closed_loop(name, n, size) for n in size.batches}
+    ours = {str(n): note(f"closed loop, batch {n}", closed_loop(name, n, size)) for n in size.batches}
     peak = peak_memory()
-    c_steps = c_mujoco(name, size)
-    loop = python_loop(name, size)
-    plain = {str(n): mjx_contacts(name, n, size) for n in size.mjx_batches}
+    c_steps = note("C MuJoCo", c_mujoco(name, size))
+    loop = note("Python loop", python_loop(name, size))
+    plain = {str(n): note(f"mjx.step, batch {n}", mjx_contacts(name, n, size)) for n in size.mjx_batches}
+    with tempfile.TemporaryDirectory() as cache:
+        compiling = note("compile", compile_times(name, size.worker_batch, quick, cache))
+        parallel = {
+            kind: {
+                str(n): workers(kind, name, n, size.worker_batch, quick, cache)
+                for n in (1, 2)
+                if n <= len(CORES)
+            }
+            for kind in ("closed_loop", "c_mujoco")
+        }
     best = max(ours, key=lambda n: ours[n]["steps_per_s"])
     result = {
         "robot": name,
         "dt": DT,
+        "clock": size.clock,
         "control_every": CONTROL_EVERY[name],
         "closed_loop_per_core": ours[best]["steps_per_s"],
         "best_batch": int(best),
@@ -104,18 +134,19 @@ def measure(name: str, size: Size, quick: bool) -> dict[str, Any]:
         "c_mujoco": c_steps,
         "numpy_loop": loop,
         "mjx_contacts": plain,
-        "workers": {
-            kind: {
-                str(n): workers(kind, name, n, size.worker_batch, quick) for n in (1, 2) if n <= len(CORES)
-            }
-            for kind in ("closed_loop", "c_mujoco")
-        },
-        "compile": compile_times(name, size.worker_batch, quick),
+        "workers": parallel,
+        "compile": compiling,
         "bytes_per_scenario": bytes_per_scenario(ours),
         "peak_memory_bytes": peak,
-        "core_gflops": core_gflops(),
+        "core_gflops": core_gflops(size),
     }
     result["ratios"] = {peer: result["closed_loop_per_core"] / result[peer] for peer in EXPECTED}
+    return result
+
+
+def note(what: str, result: Any) -> Any:
+    """Say on stderr how far the run is; returns `result`."""
+    print(f"{what}: {result}", file=sys.stderr, flush=True)
     return result
 
 
@@ -174,14 +205,14 @@ def compiled_loop(name: str, n: int, ticks: int) -> tuple[Any, Callable[[], Any]
 def closed_loop(name: str, n: int, size: Size) -> dict[str, float]:
     """Rate of the closed loop, and what its compiled form takes."""
     compiled, call, compile_s = compiled_loop(name, n, size.ticks)
-    statistics = call()
+    walks = call()
     memory = compiled.memory_analysis()
-    seconds = common.median_seconds(call, size.repeats)
+    seconds = size.median_seconds(call)
     return {
         "steps_per_s": n * size.ticks / seconds,
         "compile_s": compile_s,
         "bytes": memory.temp_size_in_bytes + memory.argument_size_in_bytes + memory.output_size_in_bytes,
-        "walks_upright": float(np.mean(np.asarray(statistics.status) == 0)),
+        "walks_upright": float(np.mean(np.asarray(walks.status) == 0)),
     }
 
 
@@ -319,7 +350,7 @@ def controls(one: Native, ticks: int, every: int) -> np.ndarray:
 def c_mujoco(name: str, size: Size) -> dict[str, float]:
     """Rate of `mujoco.rollout` with native contacts and the controls given."""
     one, call, ticks = c_rollout(name, size)
-    seconds = common.median_seconds(call, size.repeats)
+    seconds = size.median_seconds(call)
     fallen = trunk_height(call()[0][0, -1, 1:4]) < 0.6 * one.data.qpos[2]
     return {"steps_per_s": ticks / seconds, "upright": float(not fallen), "seconds_walked": ticks * DT}
 
@@ -355,7 +386,7 @@ def python_loop(name: str, size: Size) -> dict[str, float]:
             mujoco.mj_step(one.model, one.data)
 
     run()
-    seconds = common.median_seconds(run, size.repeats)
+    seconds = size.median_seconds(run)
     return {
         "steps_per_s": ticks / seconds,
         "upright": float(one.data.qpos[2] > 0.6 * start[2]),
@@ -398,21 +429,21 @@ def mjx_contacts(name: str, n: int, size: Size) -> dict[str, float]:
     compiled = jax.jit(run).lower(*args).compile()
     compile_s = time.perf_counter() - began
     jax.block_until_ready(compiled(*args))
-    seconds = common.median_seconds(lambda: jax.block_until_ready(compiled(*args)), size.repeats)
+    seconds = size.median_seconds(lambda: jax.block_until_ready(compiled(*args)))
     return {"steps_per_s": n * ticks / seconds, "compile_s": compile_s}
 
 
-def core_gflops() -> float:
+def core_gflops(size: Size) -> float:
     """Rate of a 1024 x 1024 float32 matrix product on this core, the arithmetic limit to compare with [GFLOP/s]."""
     a = jnp.ones((1024, 1024), jnp.float32)
     product = jax.jit(jnp.dot)
     jax.block_until_ready(product(a, a))
-    return 2e-9 * 1024**3 / common.median_seconds(lambda: jax.block_until_ready(product(a, a)), 5)
+    return 2e-9 * 1024**3 / size.median_seconds(lambda: jax.block_until_ready(product(a, a)))
 
 
-def workers(kind: str, name: str, count: int, batch: int, quick: bool) -> float:
+def workers(kind: str, name: str, count: int, batch: int, quick: bool, cache: str) -> float:
     """Steps per second of `count` processes that run at the same time, each on a core of its own."""
-    children = [spawn(kind, name, batch, quick, core) for core in CORES[-count:]]
+    children = [spawn(kind, name, batch, quick, core, cache) for core in CORES[-count:]]
     for child in children:
         read_line(child)
     for child in children:
@@ -425,27 +456,25 @@ def workers(kind: str, name: str, count: int, batch: int, quick: bool) -> float:
     return sum(rates)
 
 
-def compile_times(name: str, batch: int, quick: bool) -> dict[str, float]:
-    """Seconds from the call to the compiled closed loop: tracing and compiling, without and with a kept compilation."""
-    with tempfile.TemporaryDirectory() as folder:
-        times = []
-        for _ in range(2):
-            child = spawn("compile", name, batch, quick, CORES[-1] if CORES else None, folder)
-            times.append(float(read_line(child)))
-            child.wait()
+def compile_times(name: str, batch: int, quick: bool, cache: str) -> dict[str, float]:
+    """Seconds from the call to the compiled closed loop, tracing included, with an empty `cache` folder and a full one."""
+    times = []
+    for _ in range(2):
+        child = spawn("compile", name, batch, quick, CORES[-1] if CORES else None, cache)
+        times.append(float(read_line(child)))
+        child.wait()
     return {"batch": batch, "cold_s": times[0], "from_cache_s": times[1]}
 
 
 def spawn(
-    kind: str, name: str, batch: int, quick: bool, core: int | None, cache: str | None = None
+    kind: str, name: str, batch: int, quick: bool, core: int | None, cache: str
 ) -> subprocess.Popen[str]:
     """Start this program as a worker."""
     command = [sys.executable, str(Path(__file__)), "--worker", kind, "--robot", name, "--batch", str(batch)]
     env = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR")}
     if core is not None:
         env["THROUGHPUT_CORE"] = str(core)
-    if cache is not None:
-        env |= {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    env |= {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     return subprocess.Popen(
         [*command, *(["--quick"] if quick else [])],
         stdin=subprocess.PIPE,
@@ -530,7 +559,10 @@ def in_words(result: dict[str, Any]) -> str:
         for n, rate in by_count.items()
     ]
     columns = ["", "steps/s", "closed loop is worth", "expected", "compile [s]"]
-    title = f"{result['robot']}, {1e3 * DT:g} ms, controller every {result['control_every']} steps, float32"
+    title = (
+        f"{result['robot']}, {1e3 * DT:g} ms, controller every {result['control_every']} steps, float32, "
+        f"{result['clock']} time"
+    )
     compiling, memory = result["compile"], result["bytes_per_scenario"]
     return "\n".join(
         [

@@ -151,7 +151,7 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     controllers = {
         "landing adaptation": adapt.Controller(gait, landing=adapt.Landing.repaired()),
-        "none": adapt.Controller(gait),
+        "no adaptation": adapt.Controller(gait),
     }
     duration = float(gait.duration) + 0.5
     return {

@@ -23,6 +23,8 @@ FIGURES = {
     "elkahlout_zmp_x.png",
     "elkahlout_zmp_y.png",
     "elkahlout_feasibility.png",
+    "surena3_obstacles_tilt_and_forces.png",
+    "surena3_obstacles_modifications.png",
 }
 
 
@@ -50,6 +52,12 @@ def test_demo_draws_both_walks_and_says_how_feasible_they_are(tmp_path, capsys):
         assert walk["knee_bend_min_rad"] > 0.2
         assert f"{1e3 * walk['zmp_margin_min_m']:.1f} mm" in said
     assert result["walks"]["surena3"]["zmp_margin_min_m"] > 0.07
+
+    adapted, open_loop = (result["obstacles"][name] for name in ("landing adaptation", "no adaptation"))
+    assert adapted["status"] == "ok"
+    assert adapted["peak_roll_deg"] < 3.0 and adapted["peak_foot_force_N"] < 1700.0
+    assert open_loop["status"] == "fell"
+    assert open_loop["end_time_s"] < adapted["end_time_s"]
 
 
 @pytest.mark.parametrize("name", robot.presets())

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its optional GPU back end is missing
     from mujoco import mjx
-    from mujoco.mjx._src import smooth
+    from mujoco.mjx._src import smooth, support
     from mujoco.mjx._src.forward import _integrate_pos
 
 from jaxbiped.robot import RobotParams
@@ -138,3 +138,62 @@ def integrate(
 def solve(matrix: Float[Array, "18 18"], force: Float[Array, "18"]) -> Float[Array, "18"]:
     """Solve the symmetric positive definite system `matrix @ x = force`."""
     return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), force)
+
+
+# MuJoCo's own contacts, for `mjx_contacts` ---------------------------------------------------------------------
+
+
+class NativeStep(eqx.Module):
+    """One step of MJX: the state after it, and what it saw at its start."""
+
+    qpos: Float[Array, "19"]
+    qvel: Float[Array, "18"]
+    body: BodyMotion
+    corner_force: Float[Array, "2 4 3"]
+    """Force on each sole corner, world axes [N]."""
+    torque: Float[Array, "12"]
+    """Of the actuators [N m]."""
+
+
+def contact_model(spec: mujoco.MjSpec, iterations: int) -> Any:
+    """MJX model with contacts, without joint limits, of a spec to which an empty payload body is added."""
+    payload = spec.body("trunk").add_body(name="payload")
+    payload.mass, payload.inertia, payload.explicitinertial = 1e-9, [1e-9] * 3, True
+    spec.option.iterations, spec.option.ls_iterations = iterations, 2 * iterations
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    model = spec.compile()
+    assert int(model.body("payload").id) == PAYLOAD
+    return mjx.put_model(model)
+
+
+def native_step(
+    model: Any,
+    corner_geom: np.ndarray,
+    qpos: Float[Array, "19"],
+    qvel: Float[Array, "18"],
+    ctrl: Float[Array, "12"],
+    push: Float[Array, "3"],
+) -> NativeStep:
+    """`mjx.step` with a force on the trunk's centre of mass [N]; corner_geom (2, 4) are the corners' geom numbers."""
+    data = mjx.make_data(model)
+    data = data.replace(
+        qpos=qpos, qvel=qvel, ctrl=ctrl, xfrc_applied=data.xfrc_applied.at[TRUNK, :3].set(push)
+    )
+    data = mjx.step(model, data)
+    contact = data._impl.contact  # pyright: ignore[reportAttributeAccessIssue]
+    force, _ = support.contact_force_dim(model, data, 3)
+    force = jnp.einsum("cij,ci->cj", contact.frame, force[:, :3])
+    first, second = (corner_geom.reshape(-1, 1) == contact.geom[:, side] for side in (0, 1))
+    sign = second.astype(force.dtype) - first.astype(force.dtype)
+    body = BodyMotion(
+        p_world_foot=data.xpos[_FEET],
+        rot_world_foot=data.xmat[_FEET],
+        p_world_trunk=data.xpos[TRUNK],
+        rot_world_trunk=data.xmat[TRUNK],
+        twist_foot=data.cvel[_FEET],
+        centre=data.subtree_com[TRUNK],
+        dof_axes=data.cdof,
+        mass_matrix=data._impl.M,  # pyright: ignore[reportAttributeAccessIssue]
+        bias=data.qfrc_bias,
+    )
+    return NativeStep(data.qpos, data.qvel, body, (sign @ force).reshape(2, 4, 3), data.actuator_force)

@@ -5,7 +5,7 @@ sensors are done again in C and NumPy. Controller, inverse kinematics, feed-forw
 MuJoCo's servos have no speed limit, and its contacts are linear springs and dampers (`solref`) without a slip speed.
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -364,22 +364,6 @@ class _Log:
         return self.site[:, _CORNER_SITES]
 
 
-class _Pilot(Protocol):
-    """Where the references come from."""
-
-    def row(self, tick: int) -> Row:
-        """Reference of control tick number `tick`."""
-        ...
-
-    def sense(self, world: _World, log: _Log, tick: int) -> None:
-        """After control tick number `tick`."""
-        ...
-
-    def asked(self, ticks: np.ndarray) -> tuple[np.ndarray, Targets]:
-        """Status (n, 2) and targets after control ticks `ticks` (n,)."""
-        ...
-
-
 class _OpenLoop:
     """References known beforehand."""
 
@@ -422,8 +406,10 @@ class _ClosedLoop:
         self.delta_z, self.stuck = np.asarray(faults.delta_z), np.asarray(faults.stuck_open) > 0.5
         self.bounce = float(faults.bounce)
         self.history, self.state, self.delay = [first], controller.init(), None
-        self.closed = self.gap = self.closing = None
-        self.zmp = None
+        self.closed: Any = None
+        self.gap: Any = None
+        self.closing: Any = None
+        self.zmp: Any = None
 
     def row(self, tick: int) -> Row:
         last = self.history[tick]
@@ -447,7 +433,7 @@ class _ClosedLoop:
         corner, dt = log.site[row, _CORNER_SITES], world.options.dt
         gap = (corner[:, 2] - heights(world.scenario.terrain, corner[:, :2])).reshape(2, 4)
         closed = (gap <= self.delta_z) & ~self.stuck
-        if self.gap is None or self.closed is None:
+        if self.gap is None:
             self.closing = np.where(closed, 0.0, np.inf)
         else:
             fallen = self.gap - gap
@@ -465,7 +451,6 @@ class _ClosedLoop:
         wrench = np.concatenate([force.sum(1), np.cross(arm, force).sum(1)], axis=1).reshape(2, 2, 3)
         roll, pitch, yaw = _roll_pitch_yaw(log.xmat[row, TRUNK])
         forward, c, s = self.zmp - trunk[:2], np.cos(yaw), np.sin(yaw)
-        assert self.closed is not None and self.closing is not None
         since = time - self.closing
         opened = (since < self.bounce) & (np.floor(since / BOUNCE_PERIOD) % 2 == 1)
         return {
@@ -489,6 +474,10 @@ class _ClosedLoop:
             return np.zeros((0, 2), int), jax.tree.map(lambda leaf: leaf[None][:0], rows[0].targets)
         stacked = jax.tree.map(lambda *leaf: np.stack(leaf), *rows)
         return stacked.status, jax.tree.map(jnp.asarray, stacked.targets)
+
+
+_Pilot = _OpenLoop | _ClosedLoop
+"""Where the references come from: `row` before a control tick, `sense` after it, `asked` at the end."""
 
 
 @eqx.filter_jit

@@ -16,7 +16,16 @@ from jaxbiped.adapt import Controller, ControllerState, Sensed
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at
 from jaxbiped.robot import RobotParams
-from jaxbiped.sim import equilibrium, feed_forward, ground, mjx_adapter, plant, sensors, statistics
+from jaxbiped.sim import (
+    equilibrium,
+    feed_forward,
+    ground,
+    mjx_adapter,
+    mjx_contacts,
+    plant,
+    sensors,
+    statistics,
+)
 from jaxbiped.sim.feed_forward import FeedForward
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
@@ -25,6 +34,9 @@ from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.sensors import Delay, SwitchState
 from jaxbiped.sim.servo import Reference
 from jaxbiped.sim.statistics import Statistics
+
+COMPLIANT, MJX = "compliant", "mjx"
+CONTACTS = (COMPLIANT, MJX)
 
 
 class Options(eqx.Module):
@@ -38,6 +50,8 @@ class Options(eqx.Module):
     """Add the plan's inverse dynamics to the servos' torque."""
     payload_model: str = eqx.field(static=True, default=plant.EXACT)
     """`exact` (welded cube) or `thesis` (elkahlout Eqs. 3.8-3.10)."""
+    contact: str = eqx.field(static=True, default=COMPLIANT)
+    """`compliant` (see `ground`) or `mjx` (MuJoCo's own contacts; slower, no holes)."""
     noise: bool = eqx.field(static=True, default=False)
     """Add the scenario's sensor noise."""
     delay_room: int = eqx.field(static=True, default=0)
@@ -56,6 +70,8 @@ class Options(eqx.Module):
             raise ValueError(
                 f"payload_model: got {self.payload_model!r}, allowed: {', '.join(PAYLOAD_MODELS)}"
             )
+        if self.contact not in CONTACTS:
+            raise ValueError(f"contact: got {self.contact!r}, allowed: {', '.join(CONTACTS)}")
 
     @property
     def control_dt(self) -> float:
@@ -129,8 +145,17 @@ def rollout(
     """Walk one robot in one scenario for `duration` [s]; compiled once per shapes and options."""
     if not duration > 0.0:
         raise ValueError(f"duration: got {duration:g} s, allowed: > 0 s")
-    model = mjx_adapter.base_model(robot)
-    return _compiled(robot, model, controller, scenario, float(duration), options or Options())
+    options = options or Options()
+    model = base_model(robot, scenario, options)
+    return _compiled(robot, model, controller, scenario, float(duration), options)
+
+
+def base_model(robot: RobotParams, scenario: Scenario, options: Options) -> Any:
+    """MJX model for `simulate`; of the scenario only the room for rectangles counts."""
+    if options.contact == COMPLIANT:
+        return mjx_adapter.base_model(robot)
+    mjx_contacts.check_terrain(scenario.terrain)
+    return mjx_contacts.base_model(robot, scenario.terrain.height.shape[-1], options.dt)
 
 
 @eqx.filter_jit
@@ -244,14 +269,15 @@ def _physics_ticks(
     world: Plant, options: Options, state: State
 ) -> tuple[Physics, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
     """`control_every` physics ticks; also what the last one saw at its start."""
+    physics_tick = mjx_contacts.physics_tick if options.contact == MJX else _physics_tick
 
     def tick(carry: tuple[Physics, Reference], _: None):
         physics, reference = carry
-        physics, seen = _physics_tick(world, options.dt, reference, physics)
+        physics, seen = physics_tick(world, options.dt, reference, physics)
         return (physics, reference.later(options.dt)), seen
 
     if options.control_every == 1:
-        return _physics_tick(world, options.dt, state.reference, state.physics)
+        return physics_tick(world, options.dt, state.reference, state.physics)
     carry = (state.physics, state.reference)
     (physics, _), seen = jax.lax.scan(tick, carry, None, length=options.control_every)
     return physics, jax.tree.map(lambda leaf: leaf[-1], seen)

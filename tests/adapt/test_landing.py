@@ -57,7 +57,12 @@ def walk(controller, heights, ticks):
         closed_at = jnp.where(closed, jnp.minimum(closed_at, time), jnp.inf)
         spread = [jnp.broadcast_to(leaf[:, None], (2, 4)) for leaf in (closed, closed_at)]
         state, targets = controller.step(state, blind(time, *spread))
-        row = (sole_and_pelvis(targets), sole_and_pelvis(planner.at(controller.gait, time)), closed.any(), phase)
+        row = (
+            sole_and_pelvis(targets),
+            sole_and_pelvis(planner.at(controller.gait, time)),
+            closed.any(),
+            phase,
+        )
         return (state, targets.position.sole, closed_at), row
 
     start = (controller.init(), controller.gait.task(jnp.zeros(())).sole, jnp.full(2, jnp.inf))
@@ -82,9 +87,7 @@ def ticks_of(gait):
     return int(float(gait.duration) / DT)
 
 
-@pytest.mark.parametrize(
-    ("delta_z", "T_mod"), [(0.005, 0.123), (0.01, 0.161), (0.015, 0.189), (0.02, 0.213)]
-)
+@pytest.mark.parametrize(("delta_z", "T_mod"), [(0.005, 0.123), (0.01, 0.161), (0.015, 0.189), (0.02, 0.213)])
 def test_nominal_T_mod_is_the_time_the_plan_needs(x64, gait, delta_z, T_mod):
     ours = nominal_T_mod(gait, jnp.asarray(delta_z))
     assert float(ours) == pytest.approx(T_mod, abs=6e-4)
@@ -95,7 +98,9 @@ def test_nominal_T_mod_is_the_time_the_plan_needs(x64, gait, delta_z, T_mod):
 def test_derivative_of_nominal_T_mod(x64, gait):
     slope = jax.jacfwd(partial(nominal_T_mod, gait))(jnp.asarray(0.01))
     step = 1e-5
-    secant = (nominal_T_mod(gait, jnp.asarray(0.01 + step)) - nominal_T_mod(gait, jnp.asarray(0.01 - step))) / (2 * step)
+    secant = (
+        nominal_T_mod(gait, jnp.asarray(0.01 + step)) - nominal_T_mod(gait, jnp.asarray(0.01 - step))
+    ) / (2 * step)
     assert float(slope) == pytest.approx(float(secant), rel=1e-6)
     assert float(slope) > 1.0
 
@@ -115,14 +120,16 @@ def test_T_star_never_undershoots_and_is_tight(x64):
     """4,000 random touches: at T* the foot never goes below the ground; a fifth longer, and nearly all do."""
     rng = np.random.default_rng(1)
     beyond = []
-    for v, a, dz in zip(rng.uniform(0.02, 0.6, 4000), rng.uniform(-3, 6, 4000), rng.uniform(0.003, 0.03, 4000)):
+    for v, a, dz in rng.uniform((0.02, -3.0, 0.003), (0.6, 6.0, 0.03), (4000, 3)):
         T = float(longest_T_mod(*map(jnp.asarray, (-v, a, dz))))
         if not np.isfinite(T):
             assert 64 * v * v < 80 * a * dz
             continue
         for stretch in (1.0, 1.2):
             s = np.linspace(0, 1, 200)
-            depth = np.polynomial.polynomial.polyval(s * stretch * T, quintic(-v, a, -dz, stretch * T)).min() + dz
+            depth = (
+                np.polynomial.polynomial.polyval(s * stretch * T, quintic(-v, a, -dz, stretch * T)).min() + dz
+            )
             if stretch == 1.0:
                 assert depth > -1e-9 * dz
             else:
@@ -140,7 +147,9 @@ def test_flat_ground_stays_within_a_millimetre_of_the_plan(x64, gait):
 @pytest.mark.parametrize("height", [0.01, 0.03, 0.05])
 def test_obstacle_is_stood_on_and_released(x64, gait, arm, height):
     """The foot stands at the obstacle's height until T_c; one single support later nothing is left vertically."""
-    ours, plan, _, phase, missed = walk(Controller(gait, landing=arm()), heights_of(step2=height), ticks_of(gait))
+    ours, plan, _, phase, missed = walk(
+        Controller(gait, landing=arm()), heights_of(step2=height), ticks_of(gait)
+    )
     foot = int((gait.first_swing + 2) % 2)
     kept = np.flatnonzero((phase.step == 2) & (phase.time_since_liftoff > gait.params.T_s + 0.05))
     added = np.asarray(ours - plan)[:, 0]
@@ -155,7 +164,9 @@ def test_obstacle_is_stood_on_and_released(x64, gait, arm, height):
 @pytest.mark.parametrize("arm", [Landing.paper, Landing.repaired])
 @pytest.mark.parametrize("depth", [0.02, 0.04])
 def test_hole_is_reached_with_the_pelvis_following(x64, gait, arm, depth):
-    ours, plan, _, phase, missed = walk(Controller(gait, landing=arm()), heights_of(step2=-depth), ticks_of(gait))
+    ours, plan, _, phase, missed = walk(
+        Controller(gait, landing=arm()), heights_of(step2=-depth), ticks_of(gait)
+    )
     foot = int((gait.first_swing + 2) % 2)
     end = np.flatnonzero(phase.step == 2)[-1]
     added = np.asarray(ours - plan)[end, 0]

@@ -1,6 +1,7 @@
 """Polynomial walks that several tests look at: known gaits and random ones, planned once (float64)."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 import surena3_gaits
 
 from jaxbiped import robot
-from jaxbiped.planner import PolynomialGait, PolynomialParams, StartStop, Targets, at, polynomial_params
+from jaxbiped.planner import PolynomialGait, PolynomialParams, StartStop, at, polynomial_params
 from jaxbiped.robot import LEFT, RIGHT
 
 KNOWN = (*surena3_gaits.NAMES, "preset")
@@ -72,8 +73,8 @@ def _targets(gait, times):
     return jax.vmap(lambda t: at(gait, t))(times)
 
 
-def targets(times: np.ndarray, n_steps: int, first_swing: int) -> Targets:
-    """Targets as NumPy arrays; `times` (n,) are shares of the walk or (batch, n) seconds, n <= SAMPLES."""
+def targets(times: np.ndarray, n_steps: int, first_swing: int) -> Any:
+    """The gaits' `Targets` as NumPy arrays; `times` (n,) are shares of the walk or (batch, n) seconds, n <= SAMPLES."""
     if np.ndim(times) == 1:
         times = times * duration(n_steps)[:, None]
     count = times.shape[1]

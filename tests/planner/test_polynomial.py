@@ -1,6 +1,7 @@
 """Polynomials against SciPy and NumPy, which solve the same conditions in other bases."""
 
 import itertools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -175,7 +176,8 @@ def test_coupled_polynomials_are_a_clamped_spline(x64):
             ([Term(0, knots[1], 2), Term(1, knots[1], 2, -1.0)], 0.0),
         ],
     )
-    spline = CubicSpline(knots, points, bc_type=((1, ends[0]), (1, ends[1])))
+    clamped: Any = ((1, ends[0]), (1, ends[1]))
+    spline = CubicSpline(knots, points, bc_type=clamped)
     for piece, (a, b) in zip(pieces, itertools.pairwise(knots), strict=True):
         for t in np.linspace(a, b, 5):
             for order in (0, 1, 2):
@@ -217,7 +219,8 @@ def test_spline_slopes_are_scipys(count, x64):
     knots = 4.0 + np.cumsum(rng.uniform(0.3, 1.5, count))
     values = rng.normal(size=count)
     slopes = spline_slopes(jnp.asarray(knots), jnp.asarray(values), 0.3, -0.7)
-    oracle = CubicSpline(knots, values, bc_type=((1, 0.3), (1, -0.7)))
+    clamped: Any = ((1, 0.3), (1, -0.7))
+    oracle = CubicSpline(knots, values, bc_type=clamped)
     assert np.allclose(slopes, oracle(knots, 1), rtol=0.0, atol=1e-12)
 
 

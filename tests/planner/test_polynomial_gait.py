@@ -223,9 +223,9 @@ def test_walk_starts_and_stops_at_rest(n_steps, first_swing, batch):
     end = duration(n_steps)[:, None]
     times = np.concatenate([0.0 * end - 5.0, 0.0 * end, end, end + 5.0], axis=1)
     targets = targets_at(times, n_steps, first_swing)
-    duration = jax.vmap(lambda gait: gait.duration)(planned(n_steps, first_swing))
+    said = jax.vmap(lambda gait: gait.duration)(planned(n_steps, first_swing))
     position = _flat(targets.position)
-    assert np.allclose(duration, end[:, 0], rtol=1e-15)
+    assert np.allclose(said, end[:, 0], rtol=1e-15)
     assert np.allclose(position[:, 0], position[:, 1], rtol=0.0, atol=1e-12)
     assert np.allclose(position[:, 2], position[:, 3], rtol=0.0, atol=1e-12)
     for derivative in (targets.velocity, targets.acceleration):

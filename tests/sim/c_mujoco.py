@@ -45,9 +45,7 @@ def with_cube(params: robot.RobotParams, mass: float, place: Any, size: float) -
     """The robot in C MuJoCo with a uniform cube welded to its trunk."""
     spec = build_spec(params)
     cube = spec.body("trunk").add_body(name="cube", pos=np.asarray(place, float))
-    cube.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, size=[size / 2] * 3, mass=mass, contype=0, conaffinity=0
-    )
+    cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[size / 2] * 3, mass=mass, contype=0, conaffinity=0)
     model = spec.compile()
     model.opt.disableflags |= int(IGNORED | mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     return model
@@ -78,7 +76,12 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 def applied_force(
-    model: mujoco.MjModel, data: mujoco.MjData, body: int, point: Any, force: Any, moment: Any = (0.0, 0.0, 0.0)
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    body: int,
+    point: Any,
+    force: Any,
+    moment: Any = (0.0, 0.0, 0.0),
 ) -> np.ndarray:
     """Joint-space force (18,) of a force at a point of a body, and a moment, by mj_applyFT."""
     out = np.zeros(NV)

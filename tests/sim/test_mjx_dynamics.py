@@ -140,10 +140,13 @@ def pressed(moving):
     for data, _ in cases:
         data.qpos[2] = 0.1
         mujoco.mj_forward(model, data)
-    bodies = motions(ours, *as_arrays(*(np.stack([getattr(d, k) for d, _ in cases]) for k in ("qpos", "qvel"))))
+    bodies = motions(
+        ours, *as_arrays(*(np.stack([getattr(d, k) for d, _ in cases]) for k in ("qpos", "qvel")))
+    )
     touches = jax.vmap(lambda body: ground.contact(params, scene.ground, scene.terrain, body))(bodies)
     found = [
-        (data, *jax.tree.map(lambda leaf, i=i: leaf[i], (bodies, touches))) for i, (data, _) in enumerate(cases[:8])
+        (data, *jax.tree.map(lambda leaf, i=i: leaf[i], (bodies, touches)))
+        for i, (data, _) in enumerate(cases[:8])
     ]
     assert sum(bool((touch.force[..., 2] > 0).any()) for *_, touch in found) >= 4
     return model, found
@@ -198,7 +201,9 @@ LOAD = {"mass": 12.0, "place": (0.21, 0.03, 0.25), "size": 0.3}
 
 
 def loaded_plant(params, ours, payload_model, time=1.0):
-    scene = eqx.tree_at(lambda s: s.payload.place, flat().with_payload(LOAD["mass"], time), as_arrays(LOAD["place"])[0])
+    scene = eqx.tree_at(
+        lambda s: s.payload.place, flat().with_payload(LOAD["mass"], time), as_arrays(LOAD["place"])[0]
+    )
     scene = eqx.tree_at(lambda s: s.payload.size, scene, as_arrays(LOAD["size"])[0])
     return plant.make_plant(params, ours, scene, payload_model)
 

@@ -18,9 +18,21 @@ DT, TICKS = 5e-4, 50
 
 
 def random_servo(rng):
-    return Servo(*as_arrays(*(rng.uniform(low, high, SHAPE) for low, high in (
-        (100.0, 500.0), (1.0, 20.0), (10.0, 50.0), (0.1, 0.5), (20.0, 60.0), (2.0, 6.0),
-    ))))
+    return Servo(
+        *as_arrays(
+            *(
+                rng.uniform(low, high, SHAPE)
+                for low, high in (
+                    (100.0, 500.0),
+                    (1.0, 20.0),
+                    (10.0, 50.0),
+                    (0.1, 0.5),
+                    (20.0, 60.0),
+                    (2.0, 6.0),
+                )
+            )
+        )
+    )
 
 
 def test_torque_formula(x64):
@@ -28,14 +40,30 @@ def test_torque_formula(x64):
     limited = faded = 0
     for _ in range(20):
         one = random_servo(rng)
-        angle, speed, integral = rng.normal(scale=0.1, size=SHAPE), rng.normal(scale=3.0, size=SHAPE), rng.normal(scale=0.1, size=SHAPE)
-        wanted_angle, wanted_speed, extra = rng.normal(scale=0.1, size=SHAPE), rng.normal(scale=4.0, size=SHAPE), rng.normal(scale=5.0, size=SHAPE)
+        angle, speed, integral = (
+            rng.normal(scale=0.1, size=SHAPE),
+            rng.normal(scale=3.0, size=SHAPE),
+            rng.normal(scale=0.1, size=SHAPE),
+        )
+        wanted_angle, wanted_speed, extra = (
+            rng.normal(scale=0.1, size=SHAPE),
+            rng.normal(scale=4.0, size=SHAPE),
+            rng.normal(scale=5.0, size=SHAPE),
+        )
         reference = Reference(*as_arrays(wanted_angle, wanted_speed, extra))
         torque, damping = servo.torque(one, reference, *as_arrays(angle, speed, integral))
         for joint in np.ndindex(SHAPE):
-            kp, kv, ki, _, most, fastest = (float(g[joint]) for g in (one.kp, one.kv, one.ki, one.armature, one.torque_limit, one.speed_limit))
+            kp, kv, ki, _, most, fastest = (
+                float(g[joint])
+                for g in (one.kp, one.kv, one.ki, one.armature, one.torque_limit, one.speed_limit)
+            )
             v = min(max(wanted_speed[joint], -fastest), fastest)
-            free = kp * (wanted_angle[joint] - angle[joint]) + kv * (v - speed[joint]) + ki * integral[joint] + extra[joint]
+            free = (
+                kp * (wanted_angle[joint] - angle[joint])
+                + kv * (v - speed[joint])
+                + ki * integral[joint]
+                + extra[joint]
+            )
             held = min(max(free, -most), most)
             too_fast = abs(speed[joint]) / fastest
             if held * speed[joint] > 0 and too_fast > 1.0:
@@ -95,7 +123,12 @@ def fly(world, start, reference):
 
 def airborne(params, stiffer, seed):
     """Our plant and C MuJoCo's model, high up, upright, moving a little."""
-    params = eqx.tree_at(lambda p: p.servo.kv, params, params.servo.kv * stiffer)
+    strong = params.servo.torque_limit * (1e3 if stiffer > 1.0 else 1.0)
+    params = eqx.tree_at(
+        lambda p: (p.servo.kv, p.servo.torque_limit, p.servo.speed_limit),
+        params,
+        (params.servo.kv * stiffer, strong, jnp.full(SHAPE, 1e3)),  # MuJoCo knows no speed limit
+    )
     ours = mjx_adapter.base_model(params)
     world = plant.make_plant(params, ours, flat())
     rng = np.random.default_rng(seed)
@@ -110,7 +143,9 @@ def airborne(params, stiffer, seed):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize(("stiffer", "step"), [(1.0, 0.002), (100.0, 0.002), (1.0, 0.3)], ids=["preset", "huge kv", "saturated"])
+@pytest.mark.parametrize(
+    ("stiffer", "step"), [(1.0, 0.002), (100.0, 0.002), (1.0, 0.3)], ids=["preset", "huge kv", "saturated"]
+)
 def test_implicit_damping_is_implicitfast(x64, name, stiffer, step):
     world, state, model = airborne(load(name), stiffer, seed=4)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

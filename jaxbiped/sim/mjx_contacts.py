@@ -1,0 +1,146 @@
+"""MuJoCo's own contacts in the roll-out, through MJX's constraint solver: `Options(contact="mjx")`.
+
+Sole corners are small spheres, the ground is a plane and one box for every rectangle. Solver, contacts and integration
+are MJX's; masses, controller, sensors and statistics those of the compliant ground. Slower by an order of magnitude.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbiped.robot import RobotParams
+from jaxbiped.sim import ground, mjx_adapter, sensors, statistics
+from jaxbiped.sim.ground import Contact
+from jaxbiped.sim.mjx_adapter import LEFT_FOOT, BodyMotion
+from jaxbiped.sim.model import build_spec
+from jaxbiped.sim.plant import Plant
+from jaxbiped.sim.scenario import Terrain
+from jaxbiped.sim.servo import Reference
+
+IMPEDANCE = 0.9
+"""Contact impedance, the same at all depths, so that a contact is a linear spring and damper."""
+ITERATIONS = 6
+"""Newton iterations of the constraint solver, which starts cold at every tick."""
+MOST_CONTACTS = 16
+"""Contacts that are kept at a time, the deepest: every corner may touch a box and the floor."""
+DEPTH = 0.5
+"""How far boxes reach down from their tops [m]."""
+_BOX_0 = 1
+"""Number of the first box among the geoms, after the floor."""
+_CORNER = 2
+"""Contact type of the sole corners in `build_spec`."""
+_AWAY = -100.0
+"""Height at which unused boxes are parked [m]."""
+
+
+def base_model(robot: RobotParams, rectangles: int, timestep: float) -> Any:
+    """MJX model of the nominal robot with room for `rectangles` boxes; timestep [s]."""
+    spec = build_spec(robot, timestep)
+    for i in range(rectangles):
+        spec.worldbody.add_geom(
+            name=f"box_{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.001] * 3,
+            pos=[0.0, 0.0, _AWAY],
+            contype=1,
+            conaffinity=2,
+        )
+    spec.add_numeric(name="max_contact_points", data=[MOST_CONTACTS], size=1)
+    return mjx_adapter.contact_model(spec, ITERATIONS)
+
+
+def check_terrain(terrain: Terrain) -> None:
+    """Refuse what boxes on a plane cannot show, where the numbers are known.
+
+    Raises:
+        ValueError: if there is a hole, or raised rectangles overlap, which here do not add up.
+    """
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(terrain)):
+        return
+    lower, upper, height = (np.asarray(a) for a in (terrain.lower, terrain.upper, terrain.height))
+    used = (lower < upper).all(axis=-1) & (height != 0.0)
+    if (height[used] < 0.0).any():
+        raise ValueError(f'contact="mjx": got a hole of {height[used].min():g} m, allowed: heights >= 0 m')
+    inside = np.minimum(upper[..., :, None, :], upper[..., None, :, :]) - np.maximum(
+        lower[..., :, None, :], lower[..., None, :, :]
+    )
+    both = used[..., :, None] & used[..., None, :] & ~np.eye(height.shape[-1], dtype=bool)
+    if (both & (inside > 0.0).all(axis=-1)).any():
+        raise ValueError('contact="mjx": got rectangles that overlap, allowed: rectangles apart')
+
+
+def physics_tick(
+    world: Plant, dt: float, reference: Reference, state: Any
+) -> tuple[Any, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
+    """One tick of `rollout` by `mjx.step`; `world.model` is from `base_model`, `state` is `rollout.Physics`."""
+    time = state.tick * dt
+    ctrl = _setpoint(world, reference, state.integral)
+    step = mjx_adapter.native_step(
+        _model_now(world, time, dt),
+        np.flatnonzero(world.model.geom_contype == _CORNER).reshape(2, 4),
+        state.qpos,
+        state.qvel,
+        ctrl.reshape(-1),
+        _push(world, time, dt),
+    )
+    touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, step.body)
+    touch = dataclasses.replace(touch, force=step.corner_force)
+    new = dataclasses.replace(
+        state,
+        tick=state.tick + 1,
+        qpos=step.qpos,
+        qvel=step.qvel,
+        integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
+        switches=sensors.read_switches(state.switches, touch.gap, time, dt, world.scenario.sensors),
+        statistics=statistics.update(state.statistics, step.body, touch, time + dt),
+    )
+    stop = state.statistics.status != statistics.OK
+    kept = jax.tree.map(lambda old, fresh: jnp.where(stop, old, fresh), state, new)
+    return kept, (step.body, touch, step.torque.reshape(2, 6))
+
+
+def _setpoint(world: Plant, reference: Reference, integral: Float[Array, "2 6"]) -> Float[Array, "2 6"]:
+    """Setpoint that makes a position actuator the robot's servo: kp (ctrl - q) - kv qd is its whole torque."""
+    servo = world.servo
+    speed = jnp.clip(reference.speed, -servo.speed_limit, servo.speed_limit)
+    torque = servo.kv * speed + servo.ki * integral + reference.feed_forward
+    return reference.angle + torque / servo.kp
+
+
+def _push(world: Plant, time: Float[Array, ""], dt: float) -> Float[Array, "3"]:
+    push = world.scenario.push
+    overlap = jnp.minimum(time + dt, push.start + push.length) - jnp.maximum(time, push.start)
+    return jnp.clip(overlap / dt, 0.0, 1.0) * push.force
+
+
+def _model_now(world: Plant, time: Float[Array, ""], dt: float) -> Any:
+    """The model with this tick's masses, and the scenario's gains, friction, stiffness and boxes."""
+    loaded = jnp.clip((time + dt - world.scenario.payload.time) / dt, 0.0, 1.0)
+    masses = [b + loaded * (a - b) for b, a in zip(world.before, world.after, strict=True)]
+    model = mjx_adapter.with_masses(world.model, *masses)
+    terrain, servo = world.scenario.terrain, world.servo
+    kp, kv = servo.kp.reshape(-1), servo.kv.reshape(-1)
+    used = (terrain.lower < terrain.upper).all(axis=-1) & (terrain.height > 0.0)
+    top = jnp.where(used, terrain.height, _AWAY)
+    half = jnp.concatenate(
+        [(terrain.upper - terrain.lower) / 2.0, jnp.full_like(top, DEPTH / 2.0)[:, None]], 1
+    )
+    middle = jnp.concatenate([(terrain.upper + terrain.lower) / 2.0, (top - DEPTH / 2.0)[:, None]], 1)
+    boxes = slice(_BOX_0, _BOX_0 + top.shape[0])
+    wanted = ground.stiffness(world.robot, world.scenario.ground)
+    constant = jnp.sqrt(1.0 / ((1.0 - IMPEDANCE) * wanted * world.model.body_invweight0[LEFT_FOOT, 0]))
+    impedance = jnp.array([IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0], kp.dtype)
+    return model.replace(
+        actuator_gainprm=model.actuator_gainprm.at[:, 0].set(kp),
+        actuator_biasprm=model.actuator_biasprm.at[:, 1].set(-kp).at[:, 2].set(-kv),
+        geom_pos=model.geom_pos.at[boxes].set(middle),
+        geom_size=model.geom_size.at[boxes].set(jnp.maximum(half, 0.001)),
+        geom_friction=model.geom_friction.at[:, 0].set(world.scenario.ground.friction),
+        geom_solref=jnp.broadcast_to(jnp.stack([constant, jnp.ones_like(constant)]), model.geom_solref.shape),
+        geom_solimp=jnp.broadcast_to(impedance, model.geom_solimp.shape),
+    )

@@ -1,0 +1,209 @@
+"""C MuJoCo with its own contacts agrees with the compliant ground, and shows the scenario it is given."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from closed_loop import STANDS_FOR, setup
+
+from jaxbiped.adapt import Controller
+from jaxbiped.sim import Options, Scenario, ground
+from jaxbiped.sim import replay_c as host
+from jaxbiped.sim.mjx_adapter import TRUNK
+from jaxbiped.sim.replay_c import build_world, level_boxes, open_loop_references, replay_c
+from jaxbiped.sim.statistics import FELL, OK
+
+FLAT = Scenario.flat()
+
+
+class Case:
+    """A robot, its gait, and references that all scenarios share."""
+
+    def __init__(self, name: str, steps: int = 4):
+        one = setup(name, n_steps=steps)
+        self.params, self.gait, self.weight = one.params, one.gait, one.weight
+        self.options = Options(
+            feed_forward=name == "surena3", control_every=one.options.control_every, trace_every=5
+        )
+        self.controller = Controller(one.gait)
+        self.duration = float(one.gait.duration) + STANDS_FOR
+        self.references = open_loop_references(self.params, self.controller, self.duration, self.options)
+
+    def walk(self, scenario: Scenario = FLAT, duration: float | None = None, **options: Any):
+        chosen = dataclasses.replace(self.options, **options)
+        duration = duration or self.duration
+        return replay_c(self.params, self.controller, scenario, duration, chosen, self.references)
+
+
+@pytest.fixture(scope="module", params=["surena3", "elkahlout"])
+def case(request):
+    return Case(request.param)
+
+
+@pytest.fixture(scope="module")
+def flat(case):
+    return case.walk()
+
+
+def test_stands_still_at_first_with_its_weight_on_the_ground_at_the_stated_sinkage(case, flat):
+    early = np.asarray(flat.trace.time) < 0.1
+    np.testing.assert_allclose(
+        np.asarray(flat.trace.foot_force)[early].sum(axis=1), [[0.0, 0.0, case.weight]] * early.sum(), rtol=0.01,
+        atol=0.01 * case.weight,
+    )  # fmt: skip
+    sunk = -np.asarray(flat.trace.p_world_sole)[early][:, :, 2].mean()
+    assert sunk == pytest.approx(float(FLAT.ground.sinkage), rel=0.1)
+
+
+def test_stiffer_ground_is_sunk_into_less(case):
+    stiff = eqx.tree_at(lambda s: s.ground.sinkage, FLAT, jnp.array(1.5e-4))
+    sunk = -np.asarray(case.walk(stiff, duration=0.1).trace.p_world_sole)[-1, :, 2].mean()
+    assert sunk == pytest.approx(1.5e-4, rel=0.1)
+
+
+def test_walks_upright_and_stops(case, flat):
+    stats = flat.statistics
+    assert int(stats.status) == OK
+    assert float(stats.end_time) == pytest.approx(case.duration, abs=1e-3)
+    assert (np.rad2deg(stats.peak_roll_pitch) < 3.0).all()
+    planned = np.asarray(case.gait.task(case.gait.duration).pelvis)
+    np.testing.assert_allclose(flat.trace.p_world_trunk[-1, :2], planned[:2], atol=0.02)
+    assert float(stats.out_of_reach_time) == 0.0
+    assert flat.trace.targets.time.shape == flat.trace.time.shape
+
+
+def test_forces_of_the_sensors_are_those_of_the_contacts():
+    """On level ground and on the edge of a box, where normals lean."""
+    case = Case("surena3", steps=2)
+    scenario = FLAT.with_rectangle((-0.2, -0.3), (0.131, 0.0), 0.002)
+    model = build_world(case.params, scenario, 5e-4)
+    data, force = mujoco.MjData(model), np.zeros(6)
+    data.qvel[0] = 0.3
+    for _ in range(100):
+        mujoco.mj_step(model, data)
+    wanted = {name: np.zeros(3) for name in host.CORNERS}
+    for i, contact in enumerate(data.contact):
+        mujoco.mj_contactForce(model, data, i, force)
+        one, other = (model.geom(int(g)).name for g in (contact.geom1, contact.geom2))
+        sign, name = (1.0, other) if other in wanted else (-1.0, one)
+        wanted[name] += sign * contact.frame.reshape(3, 3).T @ force[:3]
+    np.testing.assert_allclose(-data.sensordata.reshape(8, 3), list(wanted.values()), atol=1e-9)
+    assert len(data.contact) > 0
+
+
+def test_closed_loop_path_gives_the_same_walk():
+    """Step the controller tick by tick instead of using its references."""
+    case = Case("surena3", steps=1)
+    blind = replay_c(case.params, case.controller, FLAT, 2.0, case.options, case.references)
+    seeing = replay_c(case.params, case.controller, FLAT, 2.0, case.options)
+    for field in ("time", "p_world_trunk", "p_world_sole", "qpos", "switch"):
+        one, other = (np.asarray(getattr(w.trace, field), float) for w in (blind, seeing))
+        np.testing.assert_allclose(one, other, atol=2e-5, err_msg=field)
+
+
+def test_references_must_last():
+    case = Case("surena3", steps=1)
+    with pytest.raises(ValueError, match="references: got"):
+        case.walk(duration=case.duration + 1.0)
+
+
+@pytest.mark.parametrize("name", ["surena3", "elkahlout"])
+def test_a_pad_that_nobody_sees_is_fatal(name):
+    case = Case(name, steps=5)
+    pad = FLAT.with_obstacle(case.params, case.gait, step=3, height=0.03)
+    walk = case.walk(pad)
+    assert int(walk.statistics.status) == FELL
+    landing = float(case.gait.timing.touchdown(3))
+    assert landing - 0.6 < float(walk.statistics.end_time) < case.duration
+    assert walk.trace.time[-1] <= walk.statistics.end_time
+
+
+@pytest.mark.parametrize("model", ["exact", "thesis"])
+def test_load_weighs_from_its_time_on(case, model):
+    walk = case.walk(FLAT.with_payload(2.0, 0.1), duration=0.4, payload_model=model)
+    time = np.asarray(walk.trace.time)
+    force = np.asarray(walk.trace.foot_force)[..., 2].sum(axis=1)
+    assert force[time < 0.1].mean() == pytest.approx(case.weight, abs=0.01 * case.weight)
+    assert force[time > 0.3].mean() == pytest.approx(case.weight + 2.0 * 9.81, abs=0.01 * case.weight)
+
+
+def test_attached_cube_is_a_welded_cube():
+    """Against a model compiled with the cube in it."""
+    case = Case("elkahlout", steps=1)
+    load = FLAT.with_payload(7.0, 0.0).payload
+    model = build_world(case.params, FLAT, 5e-4)
+    host.attach(model, load, "exact")
+    spec = host.build_spec(case.params, 5e-4)
+    cube = spec.body("trunk").add_body(pos=np.asarray(load.place, float))
+    cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[float(load.size) / 2] * 3, mass=7.0)
+    welded = spec.compile()
+    rng = np.random.default_rng(0)
+    qpos, qvel = (
+        np.concatenate([[0.0, 0.0, 2.0, 0.8, 0.6, 0.0, 0.0], rng.normal(size=12)]),
+        rng.normal(size=18),
+    )
+    inertia, bias, centre = [], [], []
+    for one in (model, welded):
+        data = mujoco.MjData(one)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(one, data)
+        full = np.zeros((18, 18))
+        mujoco.mj_fullM(one, data, full)
+        inertia.append(full)
+        bias.append(data.qfrc_bias.copy())
+        centre.append(data.subtree_com[TRUNK].copy())
+    np.testing.assert_allclose(inertia[0], inertia[1], atol=1e-5)
+    np.testing.assert_allclose(bias[0], bias[1], atol=1e-3)
+    np.testing.assert_allclose(centre[0], centre[1], atol=1e-6)
+
+
+def test_push_pushes(case):
+    walk = case.walk(FLAT.with_push((40.0, 0.0, 0.0), 0.1, 0.2), duration=0.3)
+    force = np.asarray(walk.trace.foot_force).sum(axis=1)
+    pushed = np.asarray(walk.trace.time) > 0.2
+    assert force[pushed, 0].mean() == pytest.approx(-40.0, rel=0.3)
+    assert abs(force[np.asarray(walk.trace.time) < 0.1, 0]).max() < 4.0
+
+
+TERRAINS = {
+    "flat": FLAT,
+    "pad": FLAT.with_rectangle((0.1, -0.2), (0.4, 0.1), 0.03),
+    "overlap": FLAT.with_rectangle((0.1, -0.2), (0.4, 0.1), 0.03).with_rectangle((0.3, 0.0), (0.6, 0.3), 0.02),
+    "hole": FLAT.with_rectangle((0.1, -0.2), (0.4, 0.1), -0.03),
+    "pad in a hole": FLAT.with_rectangle((0.0, -0.4), (0.6, 0.4), -0.05).with_rectangle((0.2, -0.1), (0.4, 0.2), 0.08),
+    "many": FLAT.with_rectangle((0.0, -0.4), (0.6, 0.4), -0.05).with_rectangle((0.5, -0.1), (0.9, 0.2), 0.04)
+    .with_rectangle((-0.5, -0.5), (0.2, 0.0), 0.02).with_rectangle((-0.3, -0.2), (0.7, 0.3), -0.01),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TERRAINS)
+def test_rays_hit_the_ground_where_the_terrain_says(name):
+    scenario, params = TERRAINS[name], Case("surena3", steps=1).params
+    model = build_world(params, scenario, 5e-4)
+    data = mujoco.MjData(model)
+    data.qpos[2] = 50.0
+    mujoco.mj_kinematics(model, data)
+    rng = np.random.default_rng(0)
+    point = rng.uniform(-0.6, 1.0, size=(300, 2))
+    t = scenario.terrain
+    edges = np.concatenate([np.asarray(t.lower), np.asarray(t.upper)])
+    point = point[(np.abs(point[:, None] - edges) > ground.EDGE_WIDTH).all(axis=(1, 2))]
+    hit = np.zeros(1, np.int32)
+    down = np.array([0.0, 0.0, -1.0])
+    found = [
+        1.0 - mujoco.mj_ray(model, data, np.array([x, y, 1.0]), down, None, 1, -1, hit, None)
+        for x, y in point
+    ]
+    np.testing.assert_allclose(found, ground.height(t, jnp.asarray(point)), atol=1e-6)
+    np.testing.assert_allclose(host.heights(t, point), ground.height(t, jnp.asarray(point)), atol=1e-6)
+
+
+def test_one_box_for_a_pad_and_four_around_a_hole():
+    assert len(level_boxes(TERRAINS["pad"].terrain)[1]) == 1
+    base, boxes = level_boxes(TERRAINS["hole"].terrain)
+    assert base == pytest.approx(-0.03)
+    assert len(boxes) == 4 and all(top == 0.0 for _, _, top in boxes)
