@@ -457,7 +457,7 @@ def workers(kind: str, name: str, count: int, batch: int, quick: bool, cache: st
 
 
 def compile_times(name: str, batch: int, quick: bool, cache: str) -> dict[str, float]:
-    """Seconds from the call to the compiled closed loop, tracing included, with an empty `cache` folder and a full one."""
+    """Seconds from the call to the compiled closed loop, tracing included; `cache` is empty at first, then full."""
     times = []
     for _ in range(2):
         child = spawn("compile", name, batch, quick, CORES[-1] if CORES else None, cache)

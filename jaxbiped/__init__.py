@@ -1,6 +1,7 @@
 """jaxbiped: a pure-JAX, differentiable, vectorised simulator and batch tester for biped walking adaptation.
 
-Data flows one way through the rooms: robot -> kinematics -> planner -> adapt -> sim -> report, cli. See docs/conventions.md for frames, signs and units.
+Data flows one way through the rooms: robot -> kinematics -> planner -> adapt -> sim -> report, cli.
+See docs/conventions.md for frames, signs and units.
 """
 
 from jaxbiped._versions import check_installed

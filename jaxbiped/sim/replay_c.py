@@ -86,7 +86,9 @@ def replay_c(
     options = options or Options()
     ticks = round(duration / options.control_dt)
     table = make_feed_forward(robot, controller, duration, options)
-    qpos, first = _start(robot, mjx_adapter.base_model(robot), controller, scenario, table, options)
+    qpos, first = _start(
+        robot, mjx_adapter.base_model(robot), controller, scenario, table, options.payload_model
+    )
     world = _World(robot, scenario, options, np.asarray(qpos, float))
     if references is None:
         pilot = _ClosedLoop(robot, controller, scenario.sensors, table, options, first)
@@ -132,11 +134,11 @@ def _start(
     controller: Controller,
     scenario: Scenario,
     table: FeedForward,
-    options: Options,
+    payload_model: str,
 ) -> tuple[Float[Array, "19"], References]:
     """Where `rollout` starts: at rest on the compliant ground."""
     first = _references(robot, at(controller.gait, 0.0), table)
-    world = plant.make_plant(robot, model, scenario, options.payload_model)
+    world = plant.make_plant(robot, model, scenario, payload_model)
     reference = Reference(first.angle, first.speed, first.feed_forward)
     return equilibrium.standing(world, first.targets.position, reference), first
 
@@ -489,8 +491,8 @@ def _control(
     options: Options,
     state: Any,
     delay: Delay | None,
-    reading: dict[str, Array],
-    tick: Array,
+    reading: dict[str, Any],
+    tick: Any,
 ) -> tuple[Any, Delay | None, References]:
     """One control tick of `rollout` on a reading from elsewhere: noise, delay, controller, inverse kinematics."""
     sensed = Sensed(**reading)
@@ -538,7 +540,7 @@ def _status(log: _Log, rows: slice) -> np.ndarray:
     height = _pelvis_height(log.xpos[rows])
     with np.errstate(invalid="ignore"):
         tilt = np.abs(_roll_pitch_yaw(log.xmat[rows, TRUNK])[:, :2]).max(axis=1)
-        fell = (tilt > float(FALL_TILT)) | (height < FALL_HEIGHT * _pelvis_height(log.xpos[0]))
+        fell = (tilt > float(FALL_TILT)) | (height < FALL_HEIGHT * _pelvis_height(log.xpos[:1]))
     finite = np.isfinite(log.xpos[rows, TRUNK]).all(axis=1) & np.isfinite(log.force[rows]).all(axis=(1, 2))
     return np.where(~finite, NONFINITE, np.where(fell, FELL, OK))
 
@@ -586,7 +588,7 @@ def _statistics(log: _Log, n: int, status: int, options: Options) -> dict[str, n
         "anchor": anchor[-1],
         "loaded": loaded[-1],
         "p_world_trunk": log.xpos[n - 1, TRUNK],
-        "pelvis_height": _pelvis_height(log.xpos[0]),
+        "pelvis_height": _pelvis_height(log.xpos[:1])[0],
     }
 
 
@@ -612,6 +614,6 @@ def _trace(world: _World, pilot: _Pilot, log: _Log, ticks: np.ndarray) -> Sample
     return Sample(**{name: _device(value) for name, value in fields.items()}, targets=pilot.asked(ticks)[1])
 
 
-def _device(value: np.ndarray) -> Array:
+def _device(value: Any) -> Array:
     """As JAX holds it: its default float type, if it is a float."""
     return jnp.asarray(value, jnp.result_type(float) if value.dtype.kind == "f" else None)

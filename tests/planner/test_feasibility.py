@@ -25,6 +25,7 @@ from jaxbiped.planner import (
     sample_times,
 )
 from jaxbiped.planner.feasibility import instant, motion_of, share_between_feet, zmp_of
+from jaxbiped.planner.targets import Timing
 from jaxbiped.robot import LEFT, RIGHT
 from jaxbiped.sim.model import build_model
 
@@ -32,14 +33,22 @@ STEP = 2e-5
 """Of the finite differences [s]."""
 MARGIN = 0.07
 """Least ZMP margin of the surena3 walks [m]; the middle of a foot has 0.08."""
-TABLE = {"A": (123, 75, 80), "B": (119, 70, 75), "C": (120, 76, 82), "D": (115, 72, 83), "E": (116, 75, 80)}
-"""Margins of gaits A to E with a prototype's model [mm]: single support in x and y, double support."""
+TABLE = {"A": (123, 75), "B": (119, 70), "C": (120, 76), "D": (115, 72), "E": (116, 75)}
+"""Single-support ZMP margins of gaits A to E in x and y, as a prototype with a model of its own had them [mm]."""
 
 
 class Frozen(eqx.Module):
     """A gait cut out of another one at an instant: the same position, velocity and acceleration at time 0."""
 
     targets: Targets
+
+    @property
+    def duration(self):
+        return jnp.zeros(())
+
+    @property
+    def timing(self):
+        return Timing(self.duration, self.targets.phase.T_s, self.targets.phase.T_c, 1, LEFT)
 
     def task(self, t):
         position, velocity, acceleration = (
@@ -67,7 +76,7 @@ def judge(biped, targets) -> Feasibility:
         rows = np.minimum(np.arange(start, start + SAMPLES), count - 1)
         block = jax.tree.map(lambda leaf: jnp.asarray(leaf[rows]), targets)  # noqa: B023
         blocks.append(_judge(biped, block))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *blocks)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *blocks)
 
 
 @functools.cache
@@ -197,30 +206,30 @@ def test_the_two_have_the_same_motion(walk):
 
 def test_zmp_is_that_of_mujocos_inverse_dynamics(walk):
     _, judged, inverse = walk
-    assert np.abs(judged.zmp - inverse.zmp).max() < 1e-6
-    assert np.abs(judged.ground_force - inverse.ground_force).max() < 1e-3
+    assert np.abs(judged.zmp - inverse.zmp).max() < 1e-8
+    assert np.abs(judged.ground_force - inverse.ground_force).max() < 1e-5
 
 
 def test_zmp_is_that_of_the_momenta(walk):
     """Centroidal: acceleration of the centre of mass and rate of the angular momentum."""
     _, judged, inverse = walk
-    assert np.abs(judged.zmp - inverse.centroidal_zmp).max() < 1e-4
+    assert np.abs(judged.zmp - inverse.centroidal_zmp).max() < 1e-7
 
 
 def test_zmp_needs_the_whole_body(walk):
-    """The tests above could not pass with a point mass: that one is centimetres off."""
+    """The tests above could not pass with a point mass: that one is 24 and 4 mm off."""
     _, judged, _ = walk
     force, com = judged.ground_force, judged.com
     point_mass = com[:, :2] - com[:, 2:] * force[:, :2] / force[:, 2:]
-    assert np.abs(judged.zmp - point_mass).max() > 5e-3
+    assert np.abs(judged.zmp - point_mass).max() > 3e-3
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics(walk):
     """With the feet's wrenches from `share_between_feet` as external forces; they leave nothing to the trunk."""
     _, judged, inverse = walk
     assert np.abs(judged.torque).max() > 50.0
-    assert np.abs(judged.torque - inverse.torque).max() < 1e-4
-    assert np.abs(inverse.root_residual).max() < 1e-3
+    assert np.abs(judged.torque - inverse.torque).max() < 1e-5
+    assert np.abs(inverse.root_residual).max() < 1e-5
 
 
 def test_feet_share_the_ground_wrench(x64):
@@ -262,9 +271,7 @@ def test_feasibility_of_a_walk_is_that_of_its_instants(x64):
     expected = judge(biped, jax.jit(jax.vmap(at, in_axes=(None, 0)))(gait, times))
     with jax.enable_x64(False):
         single = PolynomialGait.preset(robot.load("surena3"), 8)
-        got = jax.tree.map(
-            np.asarray, feasibility(robot.load("surena3"), single, jnp.asarray(times, jnp.float32))
-        )
+        got = feasibility(robot.load("surena3"), single, jnp.asarray(times, jnp.float32))
     assert np.abs(got.zmp - expected.zmp).max() < 2e-5
     assert np.abs(got.zmp_margin - expected.zmp_margin).max() < 2e-5
     assert np.abs(got.torque - expected.torque).max() < 0.05
@@ -286,40 +293,31 @@ def _surena3_walks(n_steps: int, first_swing: int) -> tuple[Targets, Feasibility
     return jax.tree.map(lambda leaf: leaf.reshape(len(KNOWN), SAMPLES, *leaf.shape[1:]), (flat, judged))
 
 
-@pytest.mark.parametrize("name", KNOWN)
 @pytest.mark.parametrize(("n_steps", "first_swing"), [*WALKS, *LONG_WALKS])
-def test_surena3_walks_are_feasible_from_rest_to_rest(n_steps, first_swing, name, x64):
+def test_surena3_walks_are_feasible_from_rest_to_rest(n_steps, first_swing, x64):
+    """Gaits A to E and the preset, at 400 times from rest to rest."""
     _, walks = _surena3_walks(n_steps, first_swing)
-    judged = jax.tree.map(lambda leaf: leaf[KNOWN.index(name)], walks)
-    assert judged.zmp_margin.min() > (MARGIN if n_steps > 2 or name == "preset" else 0.05)
-    assert judged.friction.max() < 0.11
-    assert judged.torque_share.max() < 0.6
-    assert judged.speed_share.max() < 0.7
-    assert judged.knee.min() > 0.3
-    assert np.all(judged.ik_status == 0)
-
-
-@pytest.mark.parametrize(("n_steps", "first_swing"), [*WALKS, *LONG_WALKS])
-def test_default_surena3_walk_keeps_its_margins(n_steps, first_swing, x64):
-    _, walks = _surena3_walks(n_steps, first_swing)
-    judged = jax.tree.map(lambda leaf: leaf[KNOWN.index("preset")], walks)
-    assert judged.zmp_margin.min() > 0.07
-    assert judged.friction.max() < 0.1
-    assert judged.torque_share.max() < 0.5
-    assert judged.speed_share.max() < 0.5
+    for name, least, friction in [*((name, 0.065, 0.11) for name in TABLE), ("preset", MARGIN, 0.1)]:
+        row = KNOWN.index(name)
+        judged = jax.tree.map(lambda leaf: leaf[row], walks)  # noqa: B023
+        assert judged.zmp_margin.min() > least, name
+        assert judged.friction.max() < friction, name
+        assert judged.torque_share.max() < 0.5, name
+        assert judged.speed_share.max() < 0.7, name
+        assert judged.knee.min() > 0.2, name
+        assert np.all(judged.ik_status == 0), name
 
 
 @pytest.mark.parametrize("name", list(TABLE))
 def test_margins_of_gaits_a_to_e_are_those_of_the_prototype(name, x64):
-    """Within 6 mm: the prototype had other boxes for the inertias and a slightly other trunk."""
+    """Within 2 mm, though the trunk and the feet are other boxes than the prototype's."""
     targets, walks = _surena3_walks(8, LEFT)
     row = KNOWN.index(name)
     judged, phase = (jax.tree.map(lambda leaf: leaf[row], tree) for tree in (walks, targets.phase))
     inside = np.minimum(judged.zmp - judged.support_lower, judged.support_upper - judged.zmp)
-    single = phase.support == SINGLE_SUPPORT
-    steady = (phase.step >= 2) & (phase.step < 6)
-    got = [*inside[single & steady].min(axis=0), judged.zmp_margin[~single & steady].min()]
-    assert np.abs(1e3 * np.array(got) - TABLE[name]).max() < 6.0
+    steady_single = (phase.support == SINGLE_SUPPORT) & (phase.step >= 2) & (phase.step < 6)
+    got = inside[steady_single].min(axis=0)
+    assert np.abs(1e3 * np.array(got) - TABLE[name]).max() < 2.0
 
 
 def test_default_elkahlout_walk_has_its_zmp_inside_at_all_times(x64):

@@ -43,7 +43,7 @@ def oracle(params: robot.RobotParams, actuated: bool = False, timestep: float = 
 
 def with_cube(params: robot.RobotParams, mass: float, place: Any, size: float) -> mujoco.MjModel:
     """The robot in C MuJoCo with a uniform cube welded to its trunk."""
-    spec = build_spec(params)
+    spec: Any = build_spec(params)
     cube = spec.body("trunk").add_body(name="cube", pos=np.asarray(place, float))
     cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[size / 2] * 3, mass=mass, contype=0, conaffinity=0)
     model = spec.compile()
@@ -85,8 +85,8 @@ def applied_force(
 ) -> np.ndarray:
     """Joint-space force (18,) of a force at a point of a body, and a moment, by mj_applyFT."""
     out = np.zeros(NV)
-    arrays = [np.asarray(a, float) for a in (force, moment, point)]
-    mujoco.mj_applyFT(model, data, *arrays, body, out)
+    f, m, p = (np.asarray(a, float) for a in (force, moment, point))
+    mujoco.mj_applyFT(model, data, f, m, p, body, out)
     return out
 
 
@@ -99,6 +99,6 @@ def flat() -> Scenario:
     return Scenario.flat()
 
 
-def as_arrays(*values: Any) -> list[jax.Array]:
+def as_arrays(*values: Any) -> Any:
     """In JAX's present precision."""
     return [jnp.asarray(v, jnp.result_type(float)) for v in values]

@@ -87,7 +87,7 @@ def fly(model, qpos, qvel, dt, ticks):
         q, v = state
         body = mjx_adapter.motion(model, q, v)
         v = v + dt * mjx_adapter.solve(body.mass_matrix, -body.bias)
-        return mjx_adapter.integrate(model, q, v, dt), v
+        return mjx_adapter.integrate(model, q, dt * v, 1.0), v  # dt is traced: one compilation
 
     return jax.lax.fori_loop(0, ticks, tick, (qpos, qvel))
 
@@ -316,6 +316,10 @@ class Mirrored(eqx.Module):
     def duration(self) -> Any:
         return self.gait.duration
 
+    @property
+    def timing(self) -> Any:
+        return self.gait.timing
+
     def task(self, t: Any) -> TaskSpace:
         task, flip = self.gait.task(t), jnp.array([1.0, -1.0, 1.0])
         other = TaskSpace(task.sole[::-1] * flip, task.pelvis * flip)
@@ -330,6 +334,9 @@ class Player(Controller):
     """A controller of any gait."""
 
     gait: Any
+
+    def __init__(self, gait: Any):
+        self.gait, self.landing = gait, None
 
 
 def walk64(one: Any, gait: Any, scene: Any, duration: float, options: Any) -> Any:

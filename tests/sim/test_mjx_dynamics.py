@@ -186,11 +186,16 @@ def test_push_acts_on_the_centre_of_mass_of_the_trunk_for_its_share_of_the_tick(
         close(plant.push_force(world, body, jnp.asarray(time), dt), share * wanted, 1e-9)
 
 
+@eqx.filter_jit
+def integrate_all(model, qpos, qvel, dt):
+    return jax.vmap(lambda q, v: mjx_adapter.integrate(model, q, v, dt))(qpos, qvel)
+
+
 def test_integration_of_positions(moving):
     params, model, ours, _ = moving
     qpos, qvel = random_states(params, 50, seed=4, speed=5.0)
     for dt in (5e-4, 0.1):
-        got = jax.vmap(lambda q, v, dt=dt: mjx_adapter.integrate(ours, q, v, dt))(*as_arrays(qpos, qvel))
+        got = integrate_all(ours, *as_arrays(qpos, qvel), dt=dt)
         for i in range(50):
             wanted = qpos[i].copy()
             mujoco.mj_integratePos(model, wanted, qvel[i], dt)
@@ -215,10 +220,10 @@ def test_exact_payload_is_a_welded_cube(moving):
     for data, _ in cases[:5]:
         state = as_arrays(data.qpos, data.qvel)
         wanted = forward(model, data.qpos, data.qvel)
-        body = motion_at(world, *state, jnp.asarray(2.0), 1e-3)
+        body = motion_at(world, *state, time=jnp.asarray(2.0), dt=1e-3)
         close(body.mass_matrix, mass_matrix(model, wanted))
         close(body.bias, wanted.qfrc_bias)
-        before = motion_at(world, *state, jnp.asarray(0.5), 1e-3)
+        before = motion_at(world, *state, time=jnp.asarray(0.5), dt=1e-3)
         close(before.mass_matrix, mass_matrix(bare, data), 1e-9)
         close(before.bias, data.qfrc_bias, 1e-9)
 
@@ -228,7 +233,7 @@ def test_payload_attached_inside_a_tick_counts_for_the_rest_of_it(moving):
     params, _, ours, cases = moving
     data, _ = cases[0]
     world = loaded_plant(params, ours, plant.EXACT, time=1.00075)
-    body = motion_at(world, *as_arrays(data.qpos, data.qvel), jnp.asarray(1.0), 1e-3)
+    body = motion_at(world, *as_arrays(data.qpos, data.qvel), time=jnp.asarray(1.0), dt=1e-3)
     quarter = with_cube(params, LOAD["mass"] / 4, LOAD["place"], LOAD["size"])
     wanted = forward(quarter, data.qpos, data.qvel)
     close(body.mass_matrix, mass_matrix(quarter, wanted), 1e-9)
@@ -246,7 +251,7 @@ def test_thesis_payload_is_equations_3_8_to_3_10(moving):
     model.body_inertia[1] *= (m + LOAD["mass"]) / m
     for data, _ in cases[:5]:
         wanted = forward(model, data.qpos, data.qvel)
-        body = motion_at(world, *as_arrays(data.qpos, data.qvel), jnp.asarray(2.0), 1e-3)
+        body = motion_at(world, *as_arrays(data.qpos, data.qvel), time=jnp.asarray(2.0), dt=1e-3)
         close(body.mass_matrix, mass_matrix(model, wanted), 1e-9)
         close(body.bias, wanted.qfrc_bias, 1e-9)
 
@@ -294,7 +299,7 @@ def test_model_errors_scale_links_and_move_the_trunk(moving):
     model.body_ipos[1] += offset
     data, _ = cases[0]
     wanted = forward(model, data.qpos, data.qvel)
-    body = motion_at(world, *as_arrays(data.qpos, data.qvel), jnp.asarray(0.0), 1e-3)
+    body = motion_at(world, *as_arrays(data.qpos, data.qvel), time=jnp.asarray(0.0), dt=1e-3)
     close(body.mass_matrix, mass_matrix(model, wanted), 1e-9)
     close(body.bias, wanted.qfrc_bias, 1e-9)
     np.testing.assert_allclose(world.servo.kp, params.servo.kp)

@@ -1,6 +1,7 @@
 """C MuJoCo with its own contacts agrees with the compliant ground, and shows the scenario it is given."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -20,11 +21,15 @@ from jaxbiped.sim.statistics import FELL, OK
 FLAT = Scenario.flat()
 
 
+STEPS = 5
+
+
+@functools.cache
 class Case:
     """A robot, its gait, and references that all scenarios share."""
 
-    def __init__(self, name: str, steps: int = 4):
-        one = setup(name, n_steps=steps)
+    def __init__(self, name: str):
+        one = setup(name, n_steps=STEPS)
         self.params, self.gait, self.weight = one.params, one.gait, one.weight
         self.options = Options(
             feed_forward=name == "surena3", control_every=one.options.control_every, trace_every=5
@@ -52,7 +57,9 @@ def flat(case):
 def test_stands_still_at_first_with_its_weight_on_the_ground_at_the_stated_sinkage(case, flat):
     early = np.asarray(flat.trace.time) < 0.1
     np.testing.assert_allclose(
-        np.asarray(flat.trace.foot_force)[early].sum(axis=1), [[0.0, 0.0, case.weight]] * early.sum(), rtol=0.01,
+        np.asarray(flat.trace.foot_force)[early].sum(axis=1),
+        np.broadcast_to([0.0, 0.0, case.weight], (early.sum(), 3)),
+        rtol=0.01,
         atol=0.01 * case.weight,
     )  # fmt: skip
     sunk = -np.asarray(flat.trace.p_world_sole)[early][:, :, 2].mean()
@@ -78,7 +85,7 @@ def test_walks_upright_and_stops(case, flat):
 
 def test_forces_of_the_sensors_are_those_of_the_contacts():
     """On level ground and on the edge of a box, where normals lean."""
-    case = Case("surena3", steps=2)
+    case = Case("surena3")
     scenario = FLAT.with_rectangle((-0.2, -0.3), (0.131, 0.0), 0.002)
     model = build_world(case.params, scenario, 5e-4)
     data, force = mujoco.MjData(model), np.zeros(6)
@@ -97,7 +104,7 @@ def test_forces_of_the_sensors_are_those_of_the_contacts():
 
 def test_closed_loop_path_gives_the_same_walk():
     """Step the controller tick by tick instead of using its references."""
-    case = Case("surena3", steps=1)
+    case = Case("surena3")
     blind = replay_c(case.params, case.controller, FLAT, 2.0, case.options, case.references)
     seeing = replay_c(case.params, case.controller, FLAT, 2.0, case.options)
     for field in ("time", "p_world_trunk", "p_world_sole", "qpos", "switch"):
@@ -106,14 +113,14 @@ def test_closed_loop_path_gives_the_same_walk():
 
 
 def test_references_must_last():
-    case = Case("surena3", steps=1)
+    case = Case("surena3")
     with pytest.raises(ValueError, match="references: got"):
         case.walk(duration=case.duration + 1.0)
 
 
 @pytest.mark.parametrize("name", ["surena3", "elkahlout"])
 def test_a_pad_that_nobody_sees_is_fatal(name):
-    case = Case(name, steps=5)
+    case = Case(name)
     pad = FLAT.with_obstacle(case.params, case.gait, step=3, height=0.03)
     walk = case.walk(pad)
     assert int(walk.statistics.status) == FELL
@@ -133,7 +140,7 @@ def test_load_weighs_from_its_time_on(case, model):
 
 def test_attached_cube_is_a_welded_cube():
     """Against a model compiled with the cube in it."""
-    case = Case("elkahlout", steps=1)
+    case = Case("elkahlout")
     load = FLAT.with_payload(7.0, 0.0).payload
     model = build_world(case.params, FLAT, 5e-4)
     host.attach(model, load, "exact")
@@ -182,7 +189,7 @@ TERRAINS = {
 
 @pytest.mark.parametrize("name", TERRAINS)
 def test_rays_hit_the_ground_where_the_terrain_says(name):
-    scenario, params = TERRAINS[name], Case("surena3", steps=1).params
+    scenario, params = TERRAINS[name], Case("surena3").params
     model = build_world(params, scenario, 5e-4)
     data = mujoco.MjData(model)
     data.qpos[2] = 50.0

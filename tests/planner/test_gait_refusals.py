@@ -1,0 +1,149 @@
+"""Gaits that cannot be walked are refused when they are made, in words that say which number is wrong."""
+
+import re
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+import surena3_gaits
+
+from jaxbiped import robot
+from jaxbiped.planner import (
+    CosineGait,
+    CosineParams,
+    GaitError,
+    PolynomialGait,
+    cosine_params,
+    polynomial_params,
+)
+from jaxbiped.robot import LEFT
+
+NAN, INF = float("nan"), float("inf")
+
+POLYNOMIAL = [
+    ("T_s", -1.0, "got -1 s, allowed: > 0 s"),
+    ("T_s", 0.0, "got 0 s, allowed: > 0 s"),
+    ("T_s", NAN, "got nan s, allowed: > 0 s"),
+    ("T_s", INF, "got inf s, allowed: > 0 s"),
+    ("T_d", -0.5, "got -0.5 s, allowed: > 0 s"),
+    ("T_ini", 0.2, "got 0.2 s, allowed: >= T_d / 2 = 0.3 s"),
+    ("T_end", 0.0, "got 0 s, allowed: >= T_d / 2 = 0.3 s"),
+    ("D_s", -0.25, "got -0.25 m, allowed: >= 0 m"),
+    ("H_max", 0.0, "got 0 m, allowed: > 0 m"),
+    ("H_max", -0.05, "got -0.05 m, allowed: > 0 m (the swing foot must not go below the ground)"),
+    ("z_min", 0.0, "got 0 m, allowed: > 0 m"),
+    ("z_max", 0.7, "got 0.7 m, allowed: >= z_min = 0.745 m"),
+    ("L_p", 0.15, "got 0.15 m, allowed: > 0.16 m (the soles must not overlap)"),
+    ("x_s", NAN, "got nan m, allowed: a finite number"),
+    ("y_m", INF, "got inf m, allowed: a finite number"),
+]
+BEYOND_REACH = [
+    ("z_max", 0.84),
+    ("D_s", 0.8),
+    ("y_d", 0.6),
+    ("H_max", 0.7),
+]
+COSINE = [
+    ("t_ss", 0.0, "got 0 s, allowed: > 0 s"),
+    ("t_ds", NAN, "got nan s, allowed: > 0 s"),
+    ("T_ini", -1.0, "got -1 s, allowed: > 0 s"),
+    ("T_end", 0.0, "got 0 s, allowed: > 0 s"),
+    ("b_s", -0.08, "got -0.08 m, allowed: >= 0 m"),
+    ("h_s", 0.0, "got 0 m, allowed: > 0 m (the swing foot must not go below the ground)"),
+    ("h_b", -0.5, "got -0.5 m, allowed: > 0 m"),
+    ("w_of", 0.05, "got 0.05 m, allowed: > 0.06 m (the soles must not overlap)"),
+    ("w", NAN, "got nan m, allowed: a finite number"),
+]
+
+
+@pytest.fixture(scope="module")
+def surena3():
+    return robot.load("surena3")
+
+
+@pytest.fixture(scope="module")
+def elkahlout():
+    return robot.load("elkahlout")
+
+
+def _cosine(**changes) -> CosineParams:
+    return CosineParams(**{**vars(cosine_params("elkahlout")), **changes})
+
+
+@pytest.mark.parametrize(("name", "value", "words"), POLYNOMIAL)
+def test_polynomial_parameters(surena3, name, value, words):
+    with pytest.raises(GaitError, match=f"^{name}: {re.escape(words)}"):
+        PolynomialGait.make(surena3, surena3_gaits.params("C", **{name: value}), 3)
+
+
+def test_start_and_stop_parameters(surena3):
+    params = surena3_gaits.params("C", v_first=NAN)
+    with pytest.raises(GaitError, match=r"^start_stop\.v_first: got nan m/s, allowed: a finite number"):
+        PolynomialGait.make(surena3, params, 3)
+    params = surena3_gaits.params("C", x_e_last=INF)
+    with pytest.raises(GaitError, match=r"^start_stop\.x_e_last: got inf m, allowed: a finite number"):
+        PolynomialGait.make(surena3, params, 3)
+
+
+@pytest.mark.parametrize(("name", "value"), BEYOND_REACH)
+def test_a_foot_beyond_reach(surena3, name, value):
+    """Says which foot, when and how; any of several parameters may be to blame."""
+    words = r"^gait: got a (left|right) foot (out of reach|at a joint limit) at t = .* s of .* s on robot 'surena3'"
+    with pytest.raises(
+        GaitError, match=words + ", allowed: every foot position within reach and joint range"
+    ):
+        PolynomialGait.make(surena3, surena3_gaits.params("C", **{name: value}), 3)
+
+
+@pytest.mark.parametrize(("name", "value", "words"), COSINE)
+def test_cosine_parameters(elkahlout, name, value, words):
+    with pytest.raises(GaitError, match=f"^{name}: {re.escape(words)}"):
+        CosineGait.make(elkahlout, _cosine(**{name: value}), 3)
+
+
+@pytest.mark.parametrize(("name", "value"), [("h_b", 0.62), ("b_s", 0.4), ("w", 0.6), ("h_s", 0.45)])
+def test_a_foot_beyond_reach_of_the_cosine_gait(elkahlout, name, value):
+    with pytest.raises(
+        GaitError, match=r"^gait: got a (left|right) foot .* on robot 'elkahlout', allowed: every"
+    ):
+        CosineGait.make(elkahlout, _cosine(**{name: value}), 3)
+
+
+@pytest.mark.parametrize("n_steps", [0, -2])
+@pytest.mark.parametrize("preset", [(PolynomialGait, "surena3"), (CosineGait, "elkahlout")])
+def test_number_of_steps(preset, n_steps):
+    gait, name = preset
+    with pytest.raises(GaitError, match=f"^n_steps: got {n_steps}, allowed: a whole number >= 1"):
+        gait.preset(robot.load(name), n_steps)
+
+
+@pytest.mark.parametrize("preset", [(PolynomialGait, "surena3"), (CosineGait, "elkahlout")])
+def test_first_swing(preset):
+    gait, name = preset
+    with pytest.raises(GaitError, match=r"^first_swing: got 2, allowed: 0 \(left\) or 1 \(right\)"):
+        gait.preset(robot.load(name), 3, 2)
+
+
+def test_presets_of_unknown_robots():
+    with pytest.raises(
+        GaitError, match=r"^preset gait: got robot 'elkahlout', allowed: surena3; otherwise Poly"
+    ):
+        polynomial_params("elkahlout")
+    with pytest.raises(
+        GaitError, match=r"^preset gait: got robot 'atlas', allowed: elkahlout; otherwise Cosine"
+    ):
+        cosine_params("atlas")
+
+
+def test_what_is_traced_is_not_judged(surena3):
+    """Under jit, vmap and differentiation values are not known; a plan is made of them all the same."""
+    params = surena3_gaits.params("C", H_max=-0.05, z_max=2.0)
+
+    def height(p):
+        gait = PolynomialGait.make(surena3, p, 1, LEFT)
+        return gait.task(gait.params.T_ini + 0.5 * gait.params.T_s).sole[LEFT, 2]
+
+    assert jnp.isclose(jax.jit(height)(params), -0.05, atol=1e-6)
+    gradient = eqx.filter_jit(jax.grad(height))(params)
+    assert jnp.isclose(gradient.H_max, 1.0, atol=1e-5)
