@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -75,5 +76,5 @@ def joint_angles(
     rotation: Any = jnp.broadcast_to(jnp.eye(3, dtype=p_pelvis_sole.dtype), (2, 3, 3))
     if rot_pelvis_sole is not None:
         rotation = rot_pelvis_sole
-    legs = [leg.inverse(robot, side, p_pelvis_sole[side], rotation[side]) for side in (LEFT, RIGHT)]
-    return jnp.stack([one.angle for one in legs]), jnp.stack([one.status for one in legs])
+    found = jax.vmap(leg.inverse, (None, 0, 0, 0))(robot, jnp.arange(2), p_pelvis_sole, rotation)
+    return found.angle, found.status

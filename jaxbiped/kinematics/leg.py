@@ -46,7 +46,7 @@ class LegAngles(eqx.Module):
     """OK, OUT_OF_REACH or AT_JOINT_LIMIT; the first that applies, in the order out of reach, joint limit."""
 
 
-def forward(robot: RobotParams, side: int, angle: Float[Array, "6"]) -> LegPose:
+def forward(robot: RobotParams, side: int | Int[Array, ""], angle: Float[Array, "6"]) -> LegPose:
     """Forward kinematics of the leg on `side` (0 left, 1 right) at joint angles (6,) [rad]."""
     hip = robot.p_pelvis_hip[side]
     rotations = []
@@ -65,7 +65,7 @@ def forward(robot: RobotParams, side: int, angle: Float[Array, "6"]) -> LegPose:
 
 def inverse(
     robot: RobotParams,
-    side: int,
+    side: int | Int[Array, ""],
     p_pelvis_sole: Float[Array, "3"],
     rot_pelvis_sole: Float[Array, "3 3"],
 ) -> LegAngles:
@@ -87,7 +87,7 @@ def inverse(
     return LegAngles(angle=jnp.clip(angle, lower, upper), status=status)
 
 
-def reach(robot: RobotParams, side: int) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def reach(robot: RobotParams, side: int | Int[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Smallest and largest distance between hip centre and ankle centre [m], from the knee's range."""
     bend = robot.joint_range[side, 3]
     return _hip_to_ankle(robot, bend[1]), _hip_to_ankle(robot, jnp.maximum(bend[0], STRAIGHT_KNEE))
@@ -99,7 +99,10 @@ def _hip_to_ankle(robot: RobotParams, knee: Float[Array, ""]) -> Float[Array, ""
 
 
 def _hip_in_sole_frame(
-    robot: RobotParams, side: int, p_pelvis_sole: Float[Array, "3"], rot_pelvis_sole: Float[Array, "3 3"]
+    robot: RobotParams,
+    side: int | Int[Array, ""],
+    p_pelvis_sole: Float[Array, "3"],
+    rot_pelvis_sole: Float[Array, "3 3"],
 ) -> Float[Array, "3"]:
     """Hip centre seen from the ankle centre, sole axes [m]."""
     from_sole = rot_pelvis_sole.T @ (robot.p_pelvis_hip[side] - p_pelvis_sole)
@@ -107,7 +110,7 @@ def _hip_in_sole_frame(
 
 
 def _knee(
-    robot: RobotParams, side: int, distance: Float[Array, ""]
+    robot: RobotParams, side: int | Int[Array, ""], distance: Float[Array, ""]
 ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """Knee angle for a distance between hip and ankle, and whether that distance can be reached.
 
@@ -124,7 +127,7 @@ def _knee(
 
 
 def _ankle(
-    robot: RobotParams, side: int, r: Float[Array, "3"], knee: Float[Array, ""]
+    robot: RobotParams, side: int | Int[Array, ""], r: Float[Array, "3"], knee: Float[Array, ""]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Ankle pitch and roll that point the leg at the hip, `r` = hip from ankle in the sole frame [m].
 

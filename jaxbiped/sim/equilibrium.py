@@ -41,7 +41,7 @@ def standing(plant: Plant, task: TaskSpace, reference: Reference) -> Float[Array
         pressed = jnp.where(touch.gap < 0.0, stiffness, 0.0)
         matrix = jnp.einsum("fc,fci,fcj->ij", pressed, rows, rows)
         springs = jnp.concatenate([jnp.full(6, 1.0, sunk.dtype), plant.servo.kp.reshape(-1)])
-        step = mjx_adapter.solve(matrix + jnp.diag(springs.at[_HELD].set(1e9)), force)
+        step = mjx_adapter.solve(mjx_adapter.blocks(matrix + jnp.diag(springs.at[_HELD].set(1e9))), force)
         return mjx_adapter.integrate(plant.model, qpos, jnp.clip(step, -0.02, 0.02), 1.0), None
 
     return jax.lax.scan(improve, start, None, length=ITERATIONS)[0]

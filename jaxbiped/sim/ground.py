@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxbiped.kinematics import GRAVITY
 from jaxbiped.robot import RobotParams
 from jaxbiped.sim import mjx_adapter
-from jaxbiped.sim.mjx_adapter import BodyMotion
+from jaxbiped.sim.mjx_adapter import BodyMotion, JointMatrix
 from jaxbiped.sim.scenario import Ground, Terrain
 
 EDGE_WIDTH = 0.004
@@ -74,14 +74,26 @@ def contact(robot: RobotParams, ground: Ground, terrain: Terrain, body: BodyMoti
     )
 
 
-def drag_matrix(body: BodyMotion, contact: Contact) -> Float[Array, "18 18"]:
-    """Joint-space damping of the friction forces [qfrc per qvel]."""
-    r = contact.p_world_corner - body.centre
-    zero, one = jnp.zeros_like(r[..., 0]), jnp.ones_like(r[..., 0])
-    along_x = jnp.stack([zero, r[..., 2], -r[..., 1], one, zero, zero], axis=-1)
-    along_y = jnp.stack([-r[..., 2], zero, r[..., 0], zero, one, zero], axis=-1)
-    rows = jnp.concatenate([along_x, along_y], axis=1)
-    drag = jnp.concatenate([contact.drag, contact.drag], axis=1)
-    spatial = jnp.einsum("fc,fci,fcj->fij", drag, rows, rows)
+def drag_matrix(body: BodyMotion, contact: Contact) -> JointMatrix:
+    """Joint-space damping of the friction forces [qfrc per qvel].
+
+    A corner at r from the centre moves sideways with a twist (w, v) at v + w x r, so that the drag of a foot's corners
+    turns its twist into a wrench as a planar inertia does: by the sums of drag, drag r and drag r r'.
+    """
+    r, drag = contact.p_world_corner - body.centre, contact.drag[..., None]
+    total, first = contact.drag.sum(axis=1), jnp.sum(drag * r, axis=1)
+    x, y, z = (first[:, i, None] for i in range(3))
+    across, along = jnp.sum(drag * r * r[..., 2:], axis=1), jnp.sum(drag * r * r, axis=1)
+    xz, yz, zz = (across[:, i, None] for i in range(3))
+    flat = (along[:, 0] + along[:, 1])[:, None]
     axes = mjx_adapter.foot_axes(body)
-    return jnp.einsum("fai,fij,fbj->ab", axes, spatial, axes)
+    wx, wy, wz, vx, vy, _ = (axes[..., i] for i in range(6))
+    wrench = (
+        zz * wx - xz * wz - z * vy,
+        zz * wy - yz * wz + z * vx,
+        flat * wz - xz * wx - yz * wy + x * vy - y * vx,
+        total[:, None] * vx + z * wy - y * wz,
+        total[:, None] * vy - z * wx + x * wz,
+    )
+    feet = sum(w[:, :, None] * a[:, None, :] for w, a in zip(wrench, (wx, wy, wz, vx, vy), strict=True))
+    return JointMatrix(trunk=feet[:, :6, :6].sum(axis=0), coupling=feet[:, 6:, :6], leg=feet[:, 6:, 6:])

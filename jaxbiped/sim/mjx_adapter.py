@@ -10,7 +10,6 @@ import io
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -30,10 +29,6 @@ LEFT_FOOT, RIGHT_FOOT = 7, 13
 PAYLOAD = 14
 """Body numbers in the model: the world is 0, then the links in the record's order, then the payload's box."""
 _FEET = np.array([LEFT_FOOT, RIGHT_FOOT], np.int32)  # int64 trips JAX when float64 and float32 alternate
-_MOVES_FOOT = np.zeros((2, NV), bool)
-_MOVES_FOOT[:, :FREE_DOFS] = True
-_MOVES_FOOT[0, FREE_DOFS : FREE_DOFS + 6] = True
-_MOVES_FOOT[1, FREE_DOFS + 6 :] = True
 
 
 class BodyMotion(eqx.Module):
@@ -110,16 +105,20 @@ def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> Bo
     )
 
 
-def foot_axes(body: BodyMotion) -> Float[Array, "2 18 6"]:
-    """Spatial motion of each foot per unit of each qvel: zero for the other leg's joints."""
-    return jnp.where(_MOVES_FOOT[..., None], body.dof_axes, 0.0)
+def foot_axes(body: BodyMotion) -> Float[Array, "2 12 6"]:
+    """Spatial motion of each foot per unit of the trunk's six qvel and of its own leg's six; no other moves it."""
+    trunk = jnp.broadcast_to(body.dof_axes[:FREE_DOFS], (2, FREE_DOFS, 6))
+    return jnp.concatenate([trunk, body.dof_axes[FREE_DOFS:].reshape(2, 6, 6)], axis=1)
 
 
 def generalized_force(
     body: BodyMotion, moment: Float[Array, "2 3"], force: Float[Array, "2 3"]
 ) -> Float[Array, "18"]:
     """Joint-space force of a wrench on each foot; moment about `body.centre` [N m], force [N], world axes."""
-    return jnp.einsum("fai,fi->a", foot_axes(body), jnp.concatenate([moment, force], axis=1))
+    wrench = jnp.concatenate([moment, force], axis=1)
+    trunk = jnp.sum(body.dof_axes[:FREE_DOFS] * wrench.sum(axis=0), axis=1)
+    legs = jnp.sum(body.dof_axes[FREE_DOFS:].reshape(2, 6, 6) * wrench[:, None], axis=2)
+    return jnp.concatenate([trunk, legs.reshape(-1)])
 
 
 def trunk_force(body: BodyMotion, moment: Float[Array, "3"], force: Float[Array, "3"]) -> Float[Array, "18"]:
@@ -135,9 +134,48 @@ def integrate(
     return _integrate_pos(model.jnt_type, qpos, qvel, jnp.asarray(dt, qpos.dtype))
 
 
-def solve(matrix: Float[Array, "18 18"], force: Float[Array, "18"]) -> Float[Array, "18"]:
-    """Solve the symmetric positive definite system `matrix @ x = force`."""
-    return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), force)
+class JointMatrix(eqx.Module):
+    """Symmetric joint-space matrix of a robot whose legs are coupled through the trunk alone: its blocks."""
+
+    trunk: Float[Array, "6 6"]
+    coupling: Float[Array, "2 6 6"]
+    """Rows: a leg's joints; columns: the trunk's degrees of freedom."""
+    leg: Float[Array, "2 6 6"]
+
+
+def blocks(matrix: Float[Array, "18 18"]) -> JointMatrix:
+    """The blocks of a full matrix; those between the legs are taken to be zero."""
+    left, right = slice(FREE_DOFS, FREE_DOFS + 6), slice(FREE_DOFS + 6, NV)
+    return JointMatrix(
+        trunk=matrix[:FREE_DOFS, :FREE_DOFS],
+        coupling=jnp.stack([matrix[left, :FREE_DOFS], matrix[right, :FREE_DOFS]]),
+        leg=jnp.stack([matrix[left, left], matrix[right, right]]),
+    )
+
+
+def solve(matrix: JointMatrix, force: Float[Array, "18"]) -> Float[Array, "18"]:
+    """Solve the symmetric positive definite system `matrix @ x = force`.
+
+    Both legs are eliminated at once, then the trunk; written out, since LAPACK calls one small matrix at a time.
+    """
+    on_leg = force[FREE_DOFS:].reshape(2, 6, 1)
+    solved = _eliminate(matrix.leg, jnp.concatenate([matrix.coupling, on_leg], axis=2))
+    reduced = jnp.concatenate([matrix.trunk, force[:FREE_DOFS, None]], axis=1)
+    for leg in range(2):
+        for joint in range(6):
+            reduced = reduced - matrix.coupling[leg, joint, :, None] * solved[leg, joint]
+    trunk = _eliminate(reduced[:, :FREE_DOFS], reduced[:, FREE_DOFS:])[:, 0]
+    legs = solved[..., FREE_DOFS] - jnp.sum(solved[..., :FREE_DOFS] * trunk, axis=-1)
+    return jnp.concatenate([trunk, legs.reshape(-1)])
+
+
+def _eliminate(matrix: Float[Array, "*n 6 6"], right: Float[Array, "*n 6 k"]) -> Float[Array, "*n 6 k"]:
+    """`inverse(matrix) @ right` by Gauss-Jordan; a positive definite matrix needs no pivoting."""
+    table = jnp.concatenate([matrix, right], axis=-1)
+    for i in range(6):
+        row = table[..., i, 1:] / table[..., i, :1]
+        table = (table[..., 1:] - table[..., :1] * row[..., None, :]).at[..., i, :].set(row)
+    return table
 
 
 # MuJoCo's own contacts, for `mjx_contacts` ---------------------------------------------------------------------

@@ -293,8 +293,13 @@ def _physics_tick(
     torque, damping = plant.servo_torque(world, reference, state.qpos, state.qvel, state.integral)
     force = plant.contact_force(body, touch) + plant.push_force(world, body, time, dt) - body.bias
     force = force.at[6:].add(torque.reshape(-1))
-    damping_matrix = ground.drag_matrix(body, touch) + jnp.diag(jnp.pad(damping.reshape(-1), (6, 0)))
-    qvel = state.qvel + dt * mjx_adapter.solve(body.mass_matrix + dt * damping_matrix, force)
+    matrix = jax.tree.map(
+        lambda inertia, drag: inertia + dt * drag,
+        mjx_adapter.blocks(body.mass_matrix),
+        ground.drag_matrix(body, touch),
+    )
+    matrix = eqx.tree_at(lambda m: m.leg, matrix, matrix.leg + dt * damping[..., None] * jnp.eye(6))
+    qvel = state.qvel + dt * mjx_adapter.solve(matrix, force)
     new = Physics(
         tick=state.tick + 1,
         qpos=mjx_adapter.integrate(world.model, state.qpos, qvel, dt),
