@@ -163,7 +163,7 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.
 def _draw_obstacles(figures: ModuleType, gait: Any, walks: dict[str, sim.Walk]) -> dict[str, Any]:
     heights = ", ".join(f"{100 * height:g}" for height in OBSTACLES.values())
     what = f"surena3 over unknown obstacles of {heights} cm"
-    traces = {name: walk.trace for name, walk in walks.items()}
+    traces: dict[str, Any] = {name: walk.trace for name, walk in walks.items()}
     adapted = traces["landing adaptation"]
     return {
         "surena3_obstacles_tilt_and_forces": figures.tilt_and_forces(traces, f"Simulated: {what}"),

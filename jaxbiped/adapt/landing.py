@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt.sensed import Sensed
-from jaxbiped.planner import Gait, Targets, TaskSpace
+from jaxbiped.planner import Gait, Targets, TaskSpace, is_concrete
 
 Scalar = Float[Array, ""]
 _BISECTIONS = 40
@@ -72,8 +72,7 @@ class Landing(eqx.Module):
             "release_share",
         ):
             value = getattr(self, name)
-            known = value is not None and not isinstance(value, jax.core.Tracer) and jnp.ndim(value) == 0
-            if known and not value > 0.0:
+            if value is not None and jnp.ndim(value) == 0 and is_concrete(value) and not value > 0.0:
                 unit = {"descent_speed": "m/s", "descent_acceleration": "m/s2", "T_mod": "s"}.get(name, "m")
                 raise ValueError(f"{name}: got {float(value):g} {unit}, allowed: > 0 {unit}")
 

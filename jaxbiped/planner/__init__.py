@@ -1,7 +1,7 @@
 """Planner: both papers' gaits as functions of time, and what they take of a robot, whatever the scenario."""
 
 from jaxbiped.planner import polynomial, support
-from jaxbiped.planner.checks import GaitError
+from jaxbiped.planner.checks import GaitError, is_concrete
 from jaxbiped.planner.cosine_gait import CosineGait, CosineParams
 from jaxbiped.planner.feasibility import Feasibility, feasibility, sample_times
 from jaxbiped.planner.polynomial_gait import PolynomialGait, PolynomialParams, StartStop
@@ -35,6 +35,7 @@ __all__ = [
     "at",
     "cosine_params",
     "feasibility",
+    "is_concrete",
     "polynomial",
     "polynomial_params",
     "sample_times",

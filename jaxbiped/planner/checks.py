@@ -28,9 +28,9 @@ def require(name: str, value: Any, allowed: str, *conditions: Any, unit: str = "
         raise GaitError(f"{name}: got {float(value):g} {unit}, allowed: {allowed}")
 
 
-def require_reach(robot: RobotParams, gait: Gait, samples: int = 400) -> None:
+def require_reach(robot: RobotParams, gait: Gait, samples_per_step: int = 50) -> None:
     """Raise a GaitError if a foot target of the gait lies beyond the leg's reach or joint ranges."""
-    times = jnp.linspace(0.0, gait.duration, samples)
+    times = jnp.linspace(0.0, gait.duration, samples_per_step * (gait.timing.n_steps + 2))
     status = np.asarray(_statuses(robot, gait, times))
     for i, side in _failures(status):
         word = STATUS_TEXT[status[i, side]]

@@ -269,7 +269,8 @@ def _require_sane(robot: RobotParams, p: PolynomialParams) -> None:
     for name in ("x_s", "x_e", "y_d", "y_m"):
         require(name, getattr(p, name), "a finite number", unit="m")
     for name in StartStop.__dataclass_fields__:
-        require(f"start_stop.{name}", getattr(p.start_stop, name), "a finite number", unit="m or m/s")
+        unit = "m/s" if name.startswith("v_") else "m"
+        require(f"start_stop.{name}", getattr(p.start_stop, name), "a finite number", unit=unit)
 
 
 @eqx.filter_jit

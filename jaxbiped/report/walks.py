@@ -83,7 +83,7 @@ def modifications(trace: Any, nominal: Any, title: str) -> Figure:
     time = np.asarray(trace.time)
     panels, finish = panels_over_time(3, title, np.asarray(trace.targets.phase.support), time, 6.6)
     added = 1e3 * (np.asarray(trace.targets.position.sole) - np.asarray(nominal.sole))
-    closed = np.asarray(trace.switch).any(axis=-1)
+    closed = np.any(np.asarray(trace.switch), axis=-1).reshape(-1, 2)
     for side, name in enumerate(SIDE_NAMES):
         style = {"color": SIDE_COLORS[side], "ls": SIDE_DASHES[side]}
         panels[0].plot(time, added[:, side, 0], label=f"{name} foot", **style)

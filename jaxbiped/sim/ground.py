@@ -6,6 +6,8 @@ Friction is stiff, mu N / v_s per unit of speed: it acts on the velocity at the 
 explicit integration would let the feet creep.
 """
 
+import functools
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -95,5 +97,6 @@ def drag_matrix(body: BodyMotion, contact: Contact) -> JointMatrix:
         total[:, None] * vx + z * wy - y * wz,
         total[:, None] * vy - z * wx + x * wz,
     )
-    feet = sum(w[:, :, None] * a[:, None, :] for w, a in zip(wrench, (wx, wy, wz, vx, vy), strict=True))
+    products = [w[:, :, None] * a[:, None, :] for w, a in zip(wrench, (wx, wy, wz, vx, vy), strict=True)]
+    feet = functools.reduce(jnp.add, products)
     return JointMatrix(trunk=feet[:, :6, :6].sum(axis=0), coupling=feet[:, 6:, :6], leg=feet[:, 6:, 6:])

@@ -57,9 +57,7 @@ class BodyMotion(eqx.Module):
 def base_model(robot: RobotParams) -> Any:
     """MJX model of the nominal robot with an empty payload body welded to the trunk."""
     spec = build_spec(robot)
-    trunk = spec.body("trunk")
-    payload = trunk.add_body(name="payload")
-    payload.mass, payload.inertia, payload.explicitinertial = 1e-9, [1e-9] * 3, True
+    _add_payload(spec)
     model = spec.compile()
     model.opt.disableflags |= int(
         mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -67,6 +65,14 @@ def base_model(robot: RobotParams) -> Any:
     order = [int(model.body(name).id) for name in ("trunk", "left_foot", "right_foot", "payload")]
     assert order == [TRUNK, LEFT_FOOT, RIGHT_FOOT, PAYLOAD], order
     return mjx.put_model(model)
+
+
+def _add_payload(spec: mujoco.MjSpec) -> None:
+    """Weld an empty body to the trunk, to be given its mass later."""
+    trunk = spec.body("trunk")
+    assert trunk is not None
+    payload = trunk.add_body(name="payload")
+    payload.mass, payload.inertia, payload.explicitinertial = 1e-9, [1e-9] * 3, True
 
 
 def with_masses(
@@ -195,8 +201,7 @@ class NativeStep(eqx.Module):
 
 def contact_model(spec: mujoco.MjSpec, iterations: int) -> Any:
     """MJX model with contacts, without joint limits, of a spec to which an empty payload body is added."""
-    payload = spec.body("trunk").add_body(name="payload")
-    payload.mass, payload.inertia, payload.explicitinertial = 1e-9, [1e-9] * 3, True
+    _add_payload(spec)
     spec.option.iterations, spec.option.ls_iterations = iterations, 2 * iterations
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     model = spec.compile()

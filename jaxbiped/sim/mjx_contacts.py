@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbiped.planner import is_concrete
 from jaxbiped.robot import RobotParams
 from jaxbiped.sim import ground, mjx_adapter, sensors, statistics
 from jaxbiped.sim.ground import Contact
@@ -60,7 +61,7 @@ def check_terrain(terrain: Terrain) -> None:
     Raises:
         ValueError: if there is a hole, or raised rectangles overlap, which here do not add up.
     """
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(terrain)):
+    if not is_concrete(terrain):
         return
     lower, upper, height = (np.asarray(a) for a in (terrain.lower, terrain.upper, terrain.height))
     used = (lower < upper).all(axis=-1) & (height != 0.0)

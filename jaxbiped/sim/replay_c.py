@@ -204,7 +204,9 @@ def build_world(robot: RobotParams, scenario: Scenario, timestep: float) -> mujo
     """The robot with its model errors on the scenario's ground, with a force sensor for every sole corner."""
     base, boxes = level_boxes(scenario.terrain)
     spec = build_spec(_with_errors(robot, scenario), timestep)
-    spec.geom("floor").pos = [0.0, 0.0, base]
+    floor = spec.geom("floor")
+    assert floor is not None
+    floor.pos = [0.0, 0.0, base]
     for i, (lower, upper, top) in enumerate(boxes):
         low, high = np.array([*lower, base - THICKNESS]), np.array([*upper, top])
         box = spec.worldbody.add_geom(

@@ -18,6 +18,8 @@ RANDOM = 200
 WALKS = [(n_steps, first_swing) for n_steps in (1, 2, 3, 8) for first_swing in (LEFT, RIGHT)]
 LONG_WALKS = [(24, LEFT), (24, RIGHT)]
 SAMPLES = 400
+NOT_OPTIMISED = {"xla_backend_optimization_level": 0}
+"""How to compile what runs once: faster to compile, slower to run."""
 
 
 def _random_params(rng: np.random.Generator) -> PolynomialParams:
@@ -54,7 +56,7 @@ def batch() -> PolynomialParams:
 def _planned() -> dict[tuple[int, int], PolynomialGait]:
     walks = (*WALKS, *LONG_WALKS)
 
-    @functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # compiles faster
+    @functools.partial(jax.jit, compiler_options=NOT_OPTIMISED)
     @functools.partial(jax.vmap, in_axes=(None, 0))
     def plan(surena3, params):
         return [PolynomialGait.make(surena3, params, *walk) for walk in walks]

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import polynomial_walks
 import pytest
-from polynomial_walks import KNOWN, LONG_WALKS, SAMPLES, WALKS
+from polynomial_walks import KNOWN, LONG_WALKS, NOT_OPTIMISED, SAMPLES, WALKS
 
 from jaxbiped import robot
 from jaxbiped.kinematics import Wrench, dynamics
@@ -60,7 +60,7 @@ class Frozen(eqx.Module):
         return self.targets.phase
 
 
-@jax.jit
+@functools.partial(jax.jit, compiler_options=NOT_OPTIMISED)
 @functools.partial(jax.vmap, in_axes=(None, 0))
 def _judge(biped, targets) -> Feasibility:
     return instant(biped, Frozen(targets), jnp.zeros(()))
@@ -132,17 +132,18 @@ def _walk_and_inverse(name: str) -> tuple[Feasibility, Inverse]:
     qacc = (qvel[after] - qvel[before]) / (2 * STEP)
     assert np.abs((angle[after] - angle[before]) / (2 * STEP) - speed[middle]).max() < 1e-7
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf[middle]), targets)
-    feet = _foot_wrenches(dataclasses.replace(biped, name="any"), state)
+    _, feet = _ground_wrenches(dataclasses.replace(biped, name="any"), state)
     now_only = jax.tree.map(lambda leaf: leaf[middle], judged)
     return now_only, _inverse(build_model(biped), qpos, qvel, qacc, jax.tree.map(np.asarray, feet))
 
 
-@jax.jit
+@functools.partial(jax.jit, compiler_options=NOT_OPTIMISED)
 @functools.partial(jax.vmap, in_axes=(None, 0))
-def _foot_wrenches(biped, targets) -> Wrench:
+def _ground_wrenches(biped, targets) -> tuple[Wrench, Wrench]:
+    """In total, and on each foot."""
     motion = motion_of(biped, Frozen(targets).task)
-    wrench = dynamics.evaluate(biped, motion, jnp.zeros(())).ground_wrench
-    return share_between_feet(biped, targets.position, targets.phase, wrench)
+    total = dynamics.evaluate(biped, motion, jnp.zeros(())).ground_wrench
+    return total, share_between_feet(biped, targets.position, targets.phase, total)
 
 
 def _inverse(model, qpos, qvel, qacc, feet) -> Inverse:
@@ -236,16 +237,7 @@ def test_feet_share_the_ground_wrench(x64):
     """The parts add up, no foot pulls, and in single support the swing foot has nothing."""
     biped, gait, times = _walk("surena3")
     targets = jax.jit(jax.vmap(at, in_axes=(None, 0)))(gait, times)
-    frozen_name = dataclasses.replace(biped, name="any")
-
-    @jax.jit
-    @jax.vmap
-    def whole(one):
-        return dynamics.evaluate(
-            frozen_name, motion_of(frozen_name, Frozen(one).task), jnp.zeros(())
-        ).ground_wrench
-
-    total, feet = whole(targets), _foot_wrenches(frozen_name, targets)
+    total, feet = _ground_wrenches(dataclasses.replace(biped, name="any"), targets)
     assert np.allclose(feet.force.sum(axis=1), total.force, rtol=0.0, atol=1e-9)
     assert np.allclose(feet.moment.sum(axis=1), total.moment, rtol=0.0, atol=1e-9)
     assert feet.force[..., 2].min() >= 0.0

@@ -14,9 +14,12 @@ from jaxbiped.planner import (
     CosineParams,
     GaitError,
     PolynomialGait,
+    TaskSpace,
     cosine_params,
     polynomial_params,
 )
+from jaxbiped.planner.checks import require_reach
+from jaxbiped.planner.targets import Timing, step_phase
 from jaxbiped.robot import LEFT
 
 NAN, INF = float("nan"), float("inf")
@@ -94,6 +97,28 @@ def test_a_foot_beyond_reach(surena3, name, value):
         GaitError, match=words + ", allowed: every foot position within reach and joint range"
     ):
         PolynomialGait.make(surena3, surena3_gaits.params("C", **{name: value}), 3)
+
+
+class Stretch(eqx.Module):
+    """Stands for 100 steps of 1.8 s, but for a tenth of a second in one of the last ones."""
+
+    at: float
+    duration: jax.Array
+    timing: Timing
+
+    def phase(self, t):
+        return step_phase(self.timing, t)
+
+    def task(self, t):
+        pelvis = jnp.array([0.0, 0.0, 0.75]).at[2].add(jnp.where(jnp.abs(t - self.at) < 0.05, 0.1, 0.0))
+        return TaskSpace(jnp.array([[0.0, 0.115, 0.0], [0.0, -0.115, 0.0]]), pelvis)
+
+
+@pytest.mark.parametrize("at", [0.7, 100.0, 100.45, 178.6])
+def test_a_foot_beyond_reach_for_a_moment_of_a_long_walk(surena3, at):
+    timing = Timing(jnp.array(1.5), jnp.array(1.2), jnp.array(1.8), 100, LEFT)
+    with pytest.raises(GaitError, match="out of reach at t = "):
+        require_reach(surena3, Stretch(at, jnp.array(180.0), timing))
 
 
 @pytest.mark.parametrize(("name", "value", "words"), COSINE)

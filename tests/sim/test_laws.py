@@ -339,10 +339,12 @@ class Player(Controller):
         self.gait, self.landing = gait, None
 
 
-def walk64(one: Any, gait: Any, scene: Any, duration: float, options: Any) -> Any:
-    model = mjx_adapter.base_model(one.params)
+def walk64(one: Any, model: Any, gait: Any, scene: Any, duration: float, options: Any) -> Any:
     torque = feed_forward.plan(one.params, gait, duration)
     return simulate(one.params, model, Player(gait), scene, torque, duration, options)
+
+
+jit_walk64 = eqx.filter_jit(walk64)
 
 
 def test_mirrored_scenario_gives_the_mirrored_walk(x64):
@@ -368,7 +370,8 @@ def test_mirrored_scenario_gives_the_mirrored_walk(x64):
     for time in (1.0, 2.2, 2.9, 4.0):
         planned, image = at(right_first, time), at(gaits[1], time)
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), planned, image)
-    run_both = eqx.filter_jit(eqx.filter_vmap(lambda g, s: walk64(one, g, s, 3.0, one.options)))
+    model = mjx_adapter.base_model(one.params)
+    run_both = eqx.filter_jit(eqx.filter_vmap(lambda g, s: walk64(one, model, g, s, 3.0, one.options)))
     both = run_both(stack(gaits), stack([scene, other]))
     a, b = lane(both, 0), lane(both, 1)
     signs = np.array([1, -1, 1, 1, -1, 1, -1] + [-1, -1, 1, 1, 1, -1] * 2)
@@ -389,7 +392,8 @@ def test_halving_the_tick_halves_the_change_of_a_walk(x64, name):
     for dt in (1e-3, 5e-4, 2.5e-4):
         every = round(2e-3 / dt)
         one = setup(name, dt=dt, control_every=every, trace_every=0)
-        walk = eqx.filter_jit(lambda one=one: walk64(one, one.gait, flat(), 5.0, one.options))()
+        model = mjx_adapter.base_model(one.params)
+        walk = jit_walk64(one, model, one.gait, flat(), 5.0, one.options)
         stats = walk.statistics
         assert int(stats.status) == statistics.OK
         ends.append(np.concatenate([stats.p_world_trunk, stats.peak_roll_pitch]))

@@ -1,0 +1,62 @@
+"""Changing a number never compiles anew."""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+import surena3_gaits
+
+from jaxbiped import robot
+from jaxbiped.planner import CosineGait, PolynomialGait, at, cosine_params, feasibility, sample_times
+
+
+@pytest.fixture
+def compilations() -> Iterator[list[str]]:
+    """Grows by one entry with every program that XLA is given, from its cache or not."""
+    events: list[str] = []
+
+    def listener(event: str, *_, **__) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            events.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listener)
+    yield events
+    jax.monitoring.unregister_event_duration_listener(listener)
+
+
+_at = jax.jit(lambda gait, times: jax.vmap(lambda t: at(gait, t))(times))
+CASES = {
+    "polynomial": (PolynomialGait, "surena3", lambda: surena3_gaits.params("C")),
+    "cosine": (CosineGait, "elkahlout", lambda: cosine_params("elkahlout")),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_parameter_of_gait_or_robot_recompiles(case, compilations):
+    kind, name, params = CASES[case]
+    biped = robot.load(name)
+
+    def everything(biped, params):
+        gait = kind.make(biped, params, 8)
+        times = sample_times(gait, 150)
+        return jax.block_until_ready((feasibility(biped, gait, times).zmp, _at(gait, times).position.pelvis))
+
+    leaves, structure = jax.tree.flatten(params())
+    changed = [
+        structure.unflatten([*leaves[:i], 1.001 * leaf, *leaves[i + 1 :]]) for i, leaf in enumerate(leaves)
+    ]
+    leaning = eqx.tree_at(lambda b: b.links.com, biped, biped.links.com + 0.01)
+    heavier = eqx.tree_at(lambda b: b.links.mass, biped, biped.links.mass.at[0].mul(1.1))
+    zmp, _ = everything(biped, params())
+    warm = len(compilations)
+    moved = [everything(biped, other)[0] for other in changed]
+    moved += [everything(other, params())[0] for other in (leaning, heavier)]
+    assert len(compilations) == warm
+    effect = [np.abs(np.asarray(other) - np.asarray(zmp)).max() for other in moved]
+    assert np.all(effect)
+    assert min(effect[-2:]) > 1e-3
+    gait = kind.make(biped, params(), 8)
+    _at(gait, sample_times(gait, 149))
+    assert len(compilations) > warm  # the listener listens
