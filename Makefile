@@ -20,7 +20,7 @@ demo: $(STAMP)  ## Simulate, judge and draw a few walks; results in runs/demo
 	$(BIN)/jaxbiped demo --out runs/demo
 
 test: $(STAMP)  ## Run the test suite (without the tests marked slow or gpu)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(STAMP)  ## Lint, check the format, check the types
 	$(BIN)/ruff check .

@@ -10,7 +10,7 @@ from jax.core import Tracer
 
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.targets import Gait
-from jaxbiped.robot import SIDE_NAMES, RobotParams
+from jaxbiped.robot import LEFT, RIGHT, SIDE_NAMES, RobotParams
 
 
 class GaitError(ValueError):
@@ -39,6 +39,14 @@ def require_reach(robot: RobotParams, gait: Gait, samples_per_step: int = 50) ->
             f"of {float(gait.duration):.3f} s on robot {robot.name!r}, "
             "allowed: every foot position within reach and joint range"
         )
+
+
+def require_steps(n_steps: int, first_swing: int) -> None:
+    """Raise a GaitError unless a walk can have so many steps and begin with this foot."""
+    if not (isinstance(n_steps, int) and n_steps >= 1):
+        raise GaitError(f"n_steps: got {n_steps!r}, allowed: a whole number >= 1")
+    if first_swing not in (LEFT, RIGHT):
+        raise GaitError(f"first_swing: got {first_swing!r}, allowed: {LEFT} (left) or {RIGHT} (right)")
 
 
 def _failures(status: np.ndarray) -> Iterable[tuple[int, int]]:

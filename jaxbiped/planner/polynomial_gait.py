@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbiped.planner.checks import GaitError, is_concrete, require, require_reach
+from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps
 from jaxbiped.planner.polynomial import (
     PiecewisePolynomial,
     Polynomial,
@@ -29,7 +29,7 @@ from jaxbiped.planner.polynomial import (
     spline_slopes,
 )
 from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
-from jaxbiped.robot import LEFT, RIGHT, SIDE_NAMES, RobotParams
+from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
 
@@ -205,12 +205,7 @@ class PolynomialGait(eqx.Module):
         Raises:
             GaitError: if the parameters cannot be walked by this robot (only where their values are known).
         """
-        if not (isinstance(n_steps, int) and n_steps >= 1):
-            raise GaitError(f"n_steps: got {n_steps!r}, allowed: a whole number >= 1")
-        if first_swing not in (LEFT, RIGHT):
-            raise GaitError(
-                f"first_swing: got {first_swing!r}, allowed: 0 ({SIDE_NAMES[0]}) or 1 ({SIDE_NAMES[1]})"
-            )
+        require_steps(n_steps, first_swing)
         known = is_concrete(params, robot)
         if known:
             _require_sane(robot, params)

@@ -1,6 +1,7 @@
 """Simulator: the only room that imports MuJoCo."""
 
 from jaxbiped.sim.model import build_model, build_spec, write_mjcf
+from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.rollout import Options, Sample, Walk, rollout, simulate
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.statistics import STATUS_TEXT, Statistics
@@ -14,6 +15,8 @@ __all__ = [
     "Walk",
     "build_model",
     "build_spec",
+    "open_loop_references",
+    "replay_c",
     "rollout",
     "simulate",
     "write_mjcf",

@@ -278,8 +278,8 @@ def test_what_the_missing_parallel_axis_term_is_worth(x64, record_property):
         pitch_inertia(plant.make_plant(params, ours, scene, kind).after, params)
         for kind in (plant.EXACT, plant.THESIS)
     )
-    record_property("pitch_inertia_exact", exact)
-    record_property("pitch_inertia_thesis", thesis)
+    record_property("pitch_inertia_exact", float(exact))
+    record_property("pitch_inertia_thesis", float(thesis))
     print(f"pitch inertia of trunk and 10 kg: exact {exact:.4f}, thesis {thesis:.4f} kg m2")
     m, m_load = 50.0, 10.0
     apart = 0.25**2 * m * m_load / (m + m_load)  # load 0.2 m ahead, trunk CoM 0.05 m behind, same height
