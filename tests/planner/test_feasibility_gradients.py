@@ -38,7 +38,7 @@ def _compare(report, params):
     exact, difference = np.asarray(exact).T, np.asarray((more - less) / (2 * STEP)).T
     assert np.all(np.isfinite(exact))
     scale = np.abs(difference).max(axis=1, keepdims=True)
-    assert np.abs((exact - difference) / scale).max() < 1e-5
+    assert np.abs((exact - difference) / scale).max() < 1e-6
     return np.abs(exact) / scale
 
 
