@@ -35,6 +35,7 @@ def none() -> FeedForward:
     return FeedForward(jnp.zeros((2, 2, 6)), 1.0)
 
 
+@eqx.filter_jit
 def plan(robot: RobotParams, gait: Any, duration: float, interval: float = 0.005) -> FeedForward:
     """Tabulate the plan's joint torques; the feet share the ground wrench by the ZMP."""
     times = jnp.arange(int(duration / interval) + 2) * interval
