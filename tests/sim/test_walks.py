@@ -12,6 +12,7 @@ from jaxbiped.adapt import Controller
 from jaxbiped.planner import (
     SINGLE_SUPPORT,
     PolynomialGait,
+    TaskSpace,
     polynomial_params,
     support,
 )
@@ -22,16 +23,16 @@ EARLY = 0.2
 
 
 def margins(params: Any, trace: Any) -> np.ndarray:
-    """How far inside the planned support polygon the measured ZMP is [m]."""
+    """How far the measured ZMP is inside the polygon of the feet that should be loaded, where these are [m]."""
 
-    def one(targets, zmp):
-        return support.margin(support.corners(params, targets.position), support.loaded(targets.phase), zmp)
+    def one(phase, sole, zmp):
+        return support.margin(support.corners(params, TaskSpace(sole, sole[0])), support.loaded(phase), zmp)
 
-    return np.asarray(jax.jit(jax.vmap(one))(trace.targets, trace.zmp_world))
+    return np.asarray(jax.jit(jax.vmap(one))(trace.targets.phase, trace.p_world_sole, trace.zmp_world))
 
 
 def judge(one: Any, stats: Any, trace: Any, early: bool) -> None:
-    """The walk went well; with `early`, but for feet that touch down early the ZMP is in the planned polygon."""
+    """The walk went well; with `early`, but for feet that touch down early the ZMP is in the support polygon."""
     tilt = np.rad2deg(stats.peak_roll_pitch)
     force = stats.peak_foot_force / one.weight
     end = np.asarray(one.gait.task(one.gait.duration).pelvis)
