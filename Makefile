@@ -16,7 +16,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 help:  ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
 
-demo: $(STAMP)  ## Simulate, judge and draw a few walks; results in runs/demo
+demo: $(STAMP)  ## Plan, simulate and draw both robots' walks; results in runs/demo
 	$(BIN)/jaxbiped demo --out runs/demo
 
 test: $(STAMP)  ## Run the test suite (without the tests marked slow or gpu)

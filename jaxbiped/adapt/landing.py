@@ -22,31 +22,28 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt.sensed import Sensed
 from jaxbiped.planner import Gait, Targets, TaskSpace, is_concrete
+from jaxbiped.planner.polynomial import as_scalar
 
 Scalar = Float[Array, ""]
 _BISECTIONS = 40
 
 
-def _scalar(value: float | Scalar) -> Scalar:
-    return jnp.asarray(value, jnp.result_type(float))
-
-
 class Landing(eqx.Module):
     """Parameters of the landing stage."""
 
-    delta_z: Scalar = eqx.field(converter=_scalar, default=0.01)
+    delta_z: Scalar = eqx.field(converter=as_scalar, default=0.01)
     """Height of the sole over the ground when a switch closes, as the controller believes [m]."""
     T_mod: Scalar | None = None
     """Time to set the foot down after a touch [s]; None for the time the plan needs from delta_z to the ground."""
-    delta_x_scale: Scalar = eqx.field(converter=_scalar, default=1.0)
+    delta_x_scale: Scalar = eqx.field(converter=as_scalar, default=1.0)
     """Factor on delta_x, the way the plan goes in its last T_mod."""
-    descent_speed: Scalar = eqx.field(converter=_scalar, default=0.2)
+    descent_speed: Scalar = eqx.field(converter=as_scalar, default=0.2)
     """Speed of the descent after T_s, h per control tick in the paper [m/s]."""
-    descent_acceleration: Scalar = eqx.field(converter=_scalar, default=1.5)
+    descent_acceleration: Scalar = eqx.field(converter=as_scalar, default=1.5)
     """Acceleration of the descent's start and stop, where it is smooth [m/s2]."""
-    max_descent: Scalar = eqx.field(converter=_scalar, default=0.08)
+    max_descent: Scalar = eqx.field(converter=as_scalar, default=0.08)
     """Depth at which the descent stops, where it is smooth [m]."""
-    release_share: Scalar = eqx.field(converter=_scalar, default=1.0)
+    release_share: Scalar = eqx.field(converter=as_scalar, default=1.0)
     """Time of release as a share of T_s."""
     no_undershoot: bool = eqx.field(static=True, default=True)
     """Repair: T_mod at most T*, so that the quintic of Eq. 6 never goes below the ground."""
@@ -135,7 +132,7 @@ class LandingStage(eqx.Module):
     @classmethod
     def plan(cls, params: Landing, gait: Gait) -> "LandingStage":
         """Read T_mod and delta_x off the plan."""
-        T_mod = nominal_T_mod(gait, params.delta_z) if params.T_mod is None else _scalar(params.T_mod)
+        T_mod = nominal_T_mod(gait, params.delta_z) if params.T_mod is None else as_scalar(params.T_mod)
         steps = jnp.arange(gait.timing.n_steps)
         return cls(params, T_mod, jax.vmap(lambda step: _last_way(gait, step, T_mod))(steps))
 

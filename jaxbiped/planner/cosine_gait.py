@@ -13,41 +13,37 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps
-from jaxbiped.planner.polynomial import Polynomial, quintic
+from jaxbiped.planner.polynomial import Polynomial, as_scalar, quintic
 from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
 
 
-def _scalar(value: float | Scalar) -> Scalar:
-    return jnp.asarray(value, jnp.result_type(float))
-
-
 class CosineParams(eqx.Module):
     """Parameters of the cosine gait, by the thesis' symbols (section 3.2)."""
 
-    t_ss: Scalar = eqx.field(converter=_scalar)
+    t_ss: Scalar = eqx.field(converter=as_scalar)
     """Duration of single support [s]."""
-    t_ds: Scalar = eqx.field(converter=_scalar)
+    t_ds: Scalar = eqx.field(converter=as_scalar)
     """Duration of double support [s]."""
-    b_s: Scalar = eqx.field(converter=_scalar)
+    b_s: Scalar = eqx.field(converter=as_scalar)
     """Half the step length: how far a foot goes ahead of and behind x_ref [m]."""
-    w: Scalar = eqx.field(converter=_scalar)
+    w: Scalar = eqx.field(converter=as_scalar)
     """Amplitude of the lateral sway [m]."""
-    w_of: Scalar = eqx.field(converter=_scalar)
+    w_of: Scalar = eqx.field(converter=as_scalar)
     """Half the lateral distance between the feet [m]."""
-    h_b: Scalar = eqx.field(converter=_scalar)
+    h_b: Scalar = eqx.field(converter=as_scalar)
     """Height of the body frame over the soles [m]."""
-    h_s: Scalar = eqx.field(converter=_scalar)
+    h_s: Scalar = eqx.field(converter=as_scalar)
     """Greatest height of the swing foot [m]."""
-    x_ref: Scalar = eqx.field(converter=_scalar)
+    x_ref: Scalar = eqx.field(converter=as_scalar)
     """Middle of the feet in the body frame, sagittal (x_ref_as) [m]."""
-    y_ref: Scalar = eqx.field(converter=_scalar)
+    y_ref: Scalar = eqx.field(converter=as_scalar)
     """The same, lateral (y_ref_as) [m]."""
-    T_ini: Scalar = eqx.field(converter=_scalar)
+    T_ini: Scalar = eqx.field(converter=as_scalar)
     """From rest to t = 0 of the thesis [s]."""
-    T_end: Scalar = eqx.field(converter=_scalar)
+    T_end: Scalar = eqx.field(converter=as_scalar)
     """From the middle of the last double support to rest [s]."""
 
     @property

@@ -17,6 +17,11 @@ from jaxtyping import Array, Float
 Scalar = Float[Array, ""] | float
 
 
+def as_scalar(value: Scalar) -> Float[Array, ""]:
+    """A number as an array of JAX's default float type; the converter of parameter fields."""
+    return jnp.asarray(value, jnp.result_type(float))
+
+
 class Polynomial(eqx.Module):
     """A polynomial of time about `centre`, in the scaled time s = (t - centre) / scale."""
 

@@ -21,6 +21,7 @@ from jaxbiped.planner.polynomial import (
     PiecewisePolynomial,
     Polynomial,
     Term,
+    as_scalar,
     boundary_polynomial,
     coupled_polynomials,
     join,
@@ -34,10 +35,6 @@ from jaxbiped.robot import LEFT, RIGHT, RobotParams
 Scalar = Float[Array, ""]
 
 
-def _scalar(value: float | Scalar) -> Scalar:
-    return jnp.asarray(value, jnp.result_type(float))
-
-
 class StartStop(eqx.Module):
     """Where the pelvis is at rest and in the first and last steps, sagittally, instead of x_s and x_e.
 
@@ -45,56 +42,56 @@ class StartStop(eqx.Module):
     x_e (ahead of it, end of single support).
     """
 
-    x_rest_start: Scalar = eqx.field(converter=_scalar)
+    x_rest_start: Scalar = eqx.field(converter=as_scalar)
     """Pelvis ahead of the feet at rest, before the walk [m]."""
-    x_s_first: Scalar = eqx.field(converter=_scalar)
+    x_s_first: Scalar = eqx.field(converter=as_scalar)
     """x_s of step 0 [m]."""
-    x_e_first: Scalar = eqx.field(converter=_scalar)
+    x_e_first: Scalar = eqx.field(converter=as_scalar)
     """x_e of step 0 [m]."""
-    x_s_second: Scalar = eqx.field(converter=_scalar)
+    x_s_second: Scalar = eqx.field(converter=as_scalar)
     """x_s of step 1 [m]."""
-    x_e_penultimate: Scalar = eqx.field(converter=_scalar)
+    x_e_penultimate: Scalar = eqx.field(converter=as_scalar)
     """x_e of the last step but one [m]."""
-    x_s_last: Scalar = eqx.field(converter=_scalar)
+    x_s_last: Scalar = eqx.field(converter=as_scalar)
     """x_s of the last step [m]."""
-    x_e_last: Scalar = eqx.field(converter=_scalar)
+    x_e_last: Scalar = eqx.field(converter=as_scalar)
     """x_e of the last step [m]."""
-    x_rest_end: Scalar = eqx.field(converter=_scalar)
+    x_rest_end: Scalar = eqx.field(converter=as_scalar)
     """Pelvis ahead of the feet at rest, after the walk [m]."""
-    v_first: Scalar = eqx.field(converter=_scalar)
+    v_first: Scalar = eqx.field(converter=as_scalar)
     """Pelvis velocity at the first lift-off [m/s]."""
-    v_last: Scalar = eqx.field(converter=_scalar)
+    v_last: Scalar = eqx.field(converter=as_scalar)
     """Pelvis velocity at the last touchdown [m/s]."""
 
 
 class PolynomialParams(eqx.Module):
     """Parameters of the polynomial gait, by the paper's symbols."""
 
-    D_s: Scalar = eqx.field(converter=_scalar)
+    D_s: Scalar = eqx.field(converter=as_scalar)
     """Step length [m]."""
-    T_s: Scalar = eqx.field(converter=_scalar)
+    T_s: Scalar = eqx.field(converter=as_scalar)
     """Duration of single support [s]."""
-    T_d: Scalar = eqx.field(converter=_scalar)
+    T_d: Scalar = eqx.field(converter=as_scalar)
     """Duration of double support [s]."""
-    H_max: Scalar = eqx.field(converter=_scalar)
+    H_max: Scalar = eqx.field(converter=as_scalar)
     """Greatest height of the swing foot [m]."""
-    x_s: Scalar = eqx.field(converter=_scalar)
+    x_s: Scalar = eqx.field(converter=as_scalar)
     """Pelvis behind the stance foot at the start of single support [m]."""
-    x_e: Scalar = eqx.field(converter=_scalar)
+    x_e: Scalar = eqx.field(converter=as_scalar)
     """Pelvis ahead of the stance foot at the end of single support [m]."""
-    y_d: Scalar = eqx.field(converter=_scalar)
+    y_d: Scalar = eqx.field(converter=as_scalar)
     """Lateral distance between pelvis and stance foot at the start and end of single support [m]."""
-    y_m: Scalar = eqx.field(converter=_scalar)
+    y_m: Scalar = eqx.field(converter=as_scalar)
     """The same in mid single support, the smallest distance; negative beyond the stance foot [m]."""
-    z_max: Scalar = eqx.field(converter=_scalar)
+    z_max: Scalar = eqx.field(converter=as_scalar)
     """Greatest pelvis height over the ground, in the middle of single support [m]."""
-    z_min: Scalar = eqx.field(converter=_scalar)
+    z_min: Scalar = eqx.field(converter=as_scalar)
     """Smallest pelvis height over the ground, in the middle of double support [m]."""
-    L_p: Scalar = eqx.field(converter=_scalar)
+    L_p: Scalar = eqx.field(converter=as_scalar)
     """Lateral distance between the feet [m]."""
-    T_ini: Scalar = eqx.field(converter=_scalar)
+    T_ini: Scalar = eqx.field(converter=as_scalar)
     """From rest to the first lift-off [s]."""
-    T_end: Scalar = eqx.field(converter=_scalar)
+    T_end: Scalar = eqx.field(converter=as_scalar)
     """From the last touchdown to rest [s]."""
     start_stop: StartStop
     """Sagittal start and stop."""

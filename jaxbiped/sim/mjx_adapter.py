@@ -98,6 +98,11 @@ def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> Bo
     data = smooth.com_vel(model, data)
     data = smooth.crb(model, data)
     data = smooth.rne(model, data)
+    return _read(data)
+
+
+def _read(data: Any) -> BodyMotion:
+    """What is read off MJX's data after its smooth dynamics."""
     return BodyMotion(
         p_world_foot=data.xpos[_FEET],
         rot_world_foot=data.xmat[_FEET],
@@ -106,7 +111,7 @@ def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> Bo
         twist_foot=data.cvel[_FEET],
         centre=data.subtree_com[TRUNK],
         dof_axes=data.cdof,
-        mass_matrix=data._impl.M,  # pyright: ignore[reportAttributeAccessIssue]
+        mass_matrix=data._impl.M,
         bias=data.qfrc_bias,
     )
 
@@ -228,15 +233,4 @@ def native_step(
     force = jnp.einsum("cij,ci->cj", contact.frame, force[:, :3])
     first, second = (corner_geom.reshape(-1, 1) == contact.geom[:, side] for side in (0, 1))
     sign = second.astype(force.dtype) - first.astype(force.dtype)
-    body = BodyMotion(
-        p_world_foot=data.xpos[_FEET],
-        rot_world_foot=data.xmat[_FEET],
-        p_world_trunk=data.xpos[TRUNK],
-        rot_world_trunk=data.xmat[TRUNK],
-        twist_foot=data.cvel[_FEET],
-        centre=data.subtree_com[TRUNK],
-        dof_axes=data.cdof,
-        mass_matrix=data._impl.M,  # pyright: ignore[reportAttributeAccessIssue]
-        bias=data.qfrc_bias,
-    )
-    return NativeStep(data.qpos, data.qvel, body, (sign @ force).reshape(2, 4, 3), data.actuator_force)
+    return NativeStep(data.qpos, data.qvel, _read(data), (sign @ force).reshape(2, 4, 3), data.actuator_force)
