@@ -377,6 +377,7 @@ class _OpenLoop:
                 f"references: got {references.angle.shape[0] - 1} control ticks, allowed: >= {ticks}"
             )
         self.references = jax.tree.map(np.asarray, references)
+        self.state = None
         self.flat = [
             a.reshape(-1, 12).astype(float)
             for a in (self.references.angle, self.references.speed, self.references.feed_forward)
@@ -563,11 +564,11 @@ def _result(world: _World, pilot: _Pilot, log: _Log) -> Walk:
     stats["out_of_reach_time"] = np.array(beyond)
     kept = Statistics(**{name: _device(value) for name, value in stats.items()})
     if options.trace_every == 0:
-        return Walk(kept, None)
+        return Walk(kept, None, pilot.state)
     samples = np.arange(
         options.trace_every - 1, walked if not failed.size else walked - 1, options.trace_every
     )
-    return Walk(kept, _trace(world, pilot, log, samples))
+    return Walk(kept, _trace(world, pilot, log, samples), pilot.state)
 
 
 def _statistics(log: _Log, n: int, status: int, options: Options) -> dict[str, np.ndarray]:

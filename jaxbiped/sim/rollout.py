@@ -133,6 +133,8 @@ class Walk(eqx.Module):
 
     statistics: Statistics
     trace: Sample | None
+    controller: ControllerState | None = None
+    """State of the controller at the end; None where the walk was led by given references."""
 
 
 def rollout(
@@ -196,14 +198,14 @@ def simulate(
     step = functools.partial(_control_tick, world, controller, torque, options)
     if options.trace_every == 0:
         state, _ = jax.lax.scan(lambda s, _: (step(s)[0], None), state, None, length=ticks)
-        return Walk(state.physics.statistics, None)
+        return Walk(state.physics.statistics, None, state.controller)
 
     def record(s: State, _: None) -> tuple[State, Sample]:
         s, _ = jax.lax.scan(lambda r, _: (step(r)[0], None), s, None, length=options.trace_every - 1)
         return step(s)
 
     state, trace = jax.lax.scan(record, state, None, length=ticks // options.trace_every)
-    return Walk(state.physics.statistics, trace)
+    return Walk(state.physics.statistics, trace, state.controller)
 
 
 def _start(world: Plant, controller: Controller, torque: FeedForward, options: Options) -> State:

@@ -118,7 +118,7 @@ class Scenario(eqx.Module):
             terrain=Terrain(jnp.zeros((rectangles, 2)), jnp.zeros((rectangles, 2)), jnp.zeros(rectangles)),
             payload=Payload(mass=0.0, time=1e6, place=(0.2, 0.0, 0.25), size=0.2),
             push=Push(force=(0.0, 0.0, 0.0), start=1e6, length=0.0),
-            ground=Ground(sinkage=3e-4, damping=5.0, friction=0.8, slip_speed=0.01),
+            ground=Ground(sinkage=3e-4, damping=10.0, friction=0.8, slip_speed=0.01),
             errors=ModelErrors(jnp.ones(13), jnp.zeros(3), jnp.ones((2, 6))),
             sensors=SensorFaults(
                 delta_z=jnp.full((2, 4), 0.01),
