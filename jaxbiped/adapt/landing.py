@@ -20,8 +20,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbiped.adapt.blends import quintic_to_rest, smooth
 from jaxbiped.adapt.sensed import Sensed
-from jaxbiped.planner import Gait, Targets, TaskSpace, is_concrete
+from jaxbiped.planner import PLANNED_STEP, REFLEX_STEP, Gait, Phase, Targets, TaskSpace, is_concrete
 from jaxbiped.planner.polynomial import as_scalar
 
 Scalar = Float[Array, ""]
@@ -95,14 +96,18 @@ class Landing(eqx.Module):
 class LandingState(eqx.Module):
     """What the stage remembers between two ticks."""
 
-    step: Int[Array, ""]
-    """Number of the step it is in."""
-    tau: Scalar
-    """Time since lift-off at the last tick [s]."""
+    phase: Phase
+    """Phase at the last tick."""
+    time: Scalar
+    """Of the last tick [s]."""
+    aloft: Bool[Array, ""]
+    """Whether all switches of the swing foot have been open in this step, up to T_s."""
     touched: Bool[Array, ""]
     """Whether the swing foot has touched in this step."""
     late: Bool[Array, ""]
     """Whether it did so after T_s."""
+    descended: Scalar
+    """How far foot and pelvis had descended at the touch [m]."""
     touch_tau: Scalar
     """Time since lift-off of the touch [s]."""
     touch: Float[Array, "3 2"]
@@ -118,6 +123,11 @@ class LandingState(eqx.Module):
     missed: Int[Array, ""]
     """Steps that ended without a touch."""
 
+    @property
+    def tau(self) -> Scalar:
+        """Time since lift-off at the last tick [s]."""
+        return self.phase.time_since_liftoff
+
 
 class LandingStage(eqx.Module):
     """The landing stage for one planned walk."""
@@ -128,22 +138,27 @@ class LandingStage(eqx.Module):
     """Nominal time to set the foot down [s]."""
     delta_x: Float[Array, "n_steps"]
     """Sagittal way the plan's foot goes in its last T_mod, every step [m]."""
+    first_phase: Phase
+    """At the start of the walk."""
 
     @classmethod
     def plan(cls, params: Landing, gait: Gait) -> "LandingStage":
         """Read T_mod and delta_x off the plan."""
         T_mod = nominal_T_mod(gait, params.delta_z) if params.T_mod is None else as_scalar(params.T_mod)
         steps = jnp.arange(gait.timing.n_steps)
-        return cls(params, T_mod, jax.vmap(lambda step: _last_way(gait, step, T_mod))(steps))
+        delta_x = jax.vmap(lambda step: _last_way(gait, step, T_mod))(steps)
+        return cls(params, T_mod, delta_x, gait.phase(jnp.zeros_like(T_mod)))
 
     def init(self) -> LandingState:
         """Before the first tick."""
-        zero = jnp.zeros_like(self.T_mod)
+        zero, no = jnp.zeros_like(self.T_mod), jnp.zeros((), bool)
         return LandingState(
-            step=jnp.zeros((), jnp.int32),
-            tau=zero - 1e6,
-            touched=jnp.zeros((), bool),
-            late=jnp.zeros((), bool),
+            phase=self.first_phase,
+            time=zero,
+            aloft=no,
+            touched=no,
+            late=no,
+            descended=zero,
             touch_tau=zero,
             touch=jnp.zeros((3, 2), zero.dtype),
             T_mod=self.T_mod,
@@ -155,126 +170,145 @@ class LandingStage(eqx.Module):
 
     def step(self, state: LandingState, nominal: Targets, sensed: Sensed) -> tuple[LandingState, Targets]:
         """One control tick."""
-        new_step = nominal.phase.step != state.step
-        state = jax.lax.cond(new_step, lambda s: self._next_step(s, nominal), lambda s: s, state)
+        phase, last = nominal.phase, state.phase
+        new_step = (phase.step != last.step) | (phase.kind != last.kind)
+        state = jax.lax.cond(new_step, lambda s: self._next_step(s, nominal, sensed.time), lambda s: s, state)
         state = self._watch(state, nominal, sensed)
+        state = eqx.tree_at(lambda s: (s.phase, s.time), state, (phase, sensed.time))
         return state, self._command(state, nominal)
 
-    def _next_step(self, state: LandingState, nominal: Targets) -> LandingState:
-        """Carry the offsets of the step that has ended over into the one that begins."""
-        phase, at_rest = nominal.phase, nominal.position
-        landed = 1 - phase.swing
-        end = self._pose(state, nominal, phase.T_c, landed, at_rest)
-        reached = jnp.stack([end.sole[landed, 0] - at_rest.sole[landed, 0], end.sole[landed, 2]])
-        reached = reached.at[1].add(-at_rest.sole[landed, 2])
-        stood_x = state.foot_offset[phase.swing, 0] if self.params.keep_x else jnp.zeros_like(state.tau)
-        offset = jnp.zeros_like(state.foot_offset).at[landed].set(reached).at[phase.swing, 0].set(stood_x)
-        fresh = self.init()
-        return eqx.tree_at(
-            lambda s: (s.step, s.tau, s.foot_offset, s.pelvis_offset, s.missed),
-            fresh,
+    def _next_step(self, state: LandingState, nominal: Targets, time: Scalar) -> LandingState:
+        """Carry the offsets of the step that has ended over into the one that begins.
+
+        A reflex may begin in the midst of a step: then a touch that is being followed is followed on.
+        """
+        phase, last = nominal.phase, state.phase
+        elapsed = phase.time_since_liftoff - phase.begin
+        tau = last.time_since_liftoff + (time - elapsed - state.time)
+        plan = _taylor(nominal, -elapsed)
+        end = self._pose(state, last, plan, tau)
+        interrupted = phase.kind == REFLEX_STEP
+        follow = interrupted & state.touched
+        lowered = jnp.where(follow, self._lowered(state, last, tau), 0.0)
+        begun = eqx.tree_at(
+            lambda s: (s.phase, s.foot_offset, s.pelvis_offset, s.missed),
+            self.init(),
             (
-                phase.step,
-                jnp.zeros_like(state.tau),
-                offset,
-                end.pelvis[2] - at_rest.pelvis[2],
-                state.missed + (~state.touched).astype(jnp.int32),
+                eqx.tree_at(lambda p: p.time_since_liftoff, phase, phase.begin),
+                (end.sole - plan.sole)[:, jnp.array([0, 2])],
+                end.pelvis[2] - plan.pelvis[2] + lowered,
+                state.missed + (state.aloft & ~state.touched & ~interrupted).astype(jnp.int32),
             ),
         )
+        followed = eqx.tree_at(
+            lambda s: (s.phase, s.foot_offset, s.pelvis_offset, s.touch_tau),
+            state,
+            (begun.phase, begun.foot_offset, begun.pelvis_offset, state.touch_tau - tau + phase.begin),
+        )
+        begun = eqx.tree_at(lambda s: s.aloft, begun, interrupted & state.aloft)
+        return jax.tree.map(lambda a, b: jnp.where(follow, a, b), followed, begun)
 
     def _watch(self, state: LandingState, nominal: Targets, sensed: Sensed) -> LandingState:
-        """Look for the first switch of the swing foot to close, from T_s / 2 to T_c."""
+        """Look for the first switch of the swing foot to close, from T_s / 2 (in a reflex: at once) to T_c."""
         phase = nominal.phase
-        tau, swing = phase.time_since_liftoff, phase.swing
-        watching = (tau >= 0.5 * phase.T_s) & (tau <= phase.T_c) & ~state.touched
-        touched = watching & jnp.any(sensed.switch[swing])
-        since = sensed.time - jnp.min(jnp.where(sensed.switch[swing], sensed.switch_time[swing], jnp.inf))
-        earliest = jnp.maximum(state.tau, 0.5 * phase.T_s)
+        tau, closed = phase.time_since_liftoff, sensed.switch[phase.swing]
+        in_swing = (tau >= 0.0) & (tau <= phase.T_s)
+        state = eqx.tree_at(lambda s: s.aloft, state, state.aloft | (in_swing & ~jnp.any(closed)))
+        start = jnp.where(phase.kind == REFLEX_STEP, 0.0, 0.5 * phase.T_s)
+        watching = (tau >= start) & (tau <= phase.T_c) & state.aloft & ~state.touched
+        touched = watching & jnp.any(closed)
+        since = sensed.time - jnp.min(jnp.where(closed, sensed.switch_time[phase.swing], jnp.inf))
+        earliest = jnp.maximum(state.tau, start)
         inside = jnp.clip(tau - since, jnp.minimum(earliest, tau), tau) if self.params.interpolate else tau
         landed = self._touch(state, nominal, jnp.where(touched, inside, tau))
-        state = eqx.tree_at(lambda s: s.tau, state, tau)
-        landed = eqx.tree_at(lambda s: s.tau, landed, tau)
         return jax.tree.map(lambda a, b: jnp.where(touched, a, b), landed, state)
 
     def _touch(self, state: LandingState, nominal: Targets, tau: Scalar) -> LandingState:
         """Remember the commanded foot at the touch, and decide how to set it down."""
-        phase = nominal.phase
+        p, phase = self.params, nominal.phase
 
         def swing_foot(t: Scalar) -> Float[Array, "2"]:
-            return self._pose(state, nominal, t, phase.swing).sole[phase.swing, jnp.array([0, 2])]
+            plan = _taylor(nominal, t - phase.time_since_liftoff)
+            return self._pose(state, phase, plan, t).sole[phase.swing, jnp.array([0, 2])]
 
         def swing_velocity(t: Scalar) -> Float[Array, "2"]:
             return jax.jvp(swing_foot, (t,), (jnp.ones_like(t),))[1]
 
         position = swing_foot(tau)
         velocity, acceleration = jax.jvp(swing_velocity, (tau,), (jnp.ones_like(tau),))
-        if not self.params.commanded_velocity:
+        if not p.commanded_velocity:
             planned = (nominal.velocity, nominal.acceleration)
             velocity, acceleration = (leaf.sole[phase.swing, jnp.array([0, 2])] for leaf in planned)
         late = tau > phase.T_s
         T_mod = self.T_mod
-        if self.params.no_undershoot:
-            T_mod = jnp.minimum(T_mod, longest_T_mod(velocity[1], acceleration[1], self.params.delta_z))
-        delta_x = jnp.where(late, 0.0, self.params.delta_x_scale * self.delta_x[phase.step])
+        if p.no_undershoot:
+            T_mod = jnp.minimum(T_mod, longest_T_mod(velocity[1], acceleration[1], p.delta_z))
+        in_plan = phase.kind == PLANNED_STEP
+        way = jnp.where(in_plan, self.delta_x[phase.step], 0.5 * velocity[0] * T_mod)
         return eqx.tree_at(
-            lambda s: (s.touched, s.late, s.touch_tau, s.touch, s.T_mod, s.delta_x),
+            lambda s: (s.touched, s.late, s.descended, s.touch_tau, s.touch, s.T_mod, s.delta_x),
             state,
             (
                 jnp.ones_like(state.touched),
                 late,
+                self._lowered(state, phase, tau),
                 tau,
                 jnp.stack([position, velocity, acceleration]),
                 T_mod,
-                delta_x,
+                jnp.where(late, 0.0, p.delta_x_scale * way),
             ),
         )
 
     def _command(self, state: LandingState, nominal: Targets) -> Targets:
         """The nominal targets with all offsets, and their derivatives."""
-        tau = nominal.phase.time_since_liftoff
+        phase = nominal.phase
+        tau = phase.time_since_liftoff
         one = jnp.ones_like(tau)
 
         def pose(t: Scalar) -> TaskSpace:
-            return self._pose(state, nominal, t, nominal.phase.swing)
+            return self._pose(state, phase, _taylor(nominal, t - tau), t)
 
         def with_velocity(t: Scalar) -> tuple[TaskSpace, TaskSpace]:
             return jax.jvp(pose, (t,), (one,))
 
         (position, velocity), (_, acceleration) = jax.jvp(with_velocity, (tau,), (one,))
-        return Targets(position, velocity, acceleration, nominal.phase, nominal.time)
+        return Targets(position, velocity, acceleration, phase, nominal.time)
 
-    def _pose(
-        self,
-        state: LandingState,
-        nominal: Targets,
-        tau: Scalar,
-        swing: Int[Array, ""],
-        at_rest: TaskSpace | None = None,
-    ) -> TaskSpace:
-        """Commanded task space at `tau` since lift-off, `swing` being the foot that swings in the state's step.
+    def _pose(self, state: LandingState, phase: Phase, plan: TaskSpace, tau: Scalar) -> TaskSpace:
+        """Commanded task space at `tau` since the lift-off of the step of `phase`, where the plan has `plan`."""
+        p, swing, stance = self.params, phase.swing, 1 - phase.swing
+        kept = self._kept(phase, tau)
+        offset = state.foot_offset
+        x_mod, z_mod = self._set_down(state, tau)
+        free = plan.sole[swing, jnp.array([0, 2])] + kept * offset[swing]
+        lowered = self._lowered(state, phase, tau)
+        swing_x = jnp.where(state.touched, state.touch[0, 0] + x_mod, free[0])
+        swing_z = jnp.where(state.touched, state.touch[0, 1] + z_mod, free[1] - lowered)
+        stance_x = offset[stance, 0] * (1.0 if p.keep_x else kept)
+        sole = plan.sole.at[swing, 0].set(swing_x).at[swing, 2].set(swing_z)
+        sole = sole.at[stance, 0].add(stance_x).at[stance, 2].add(kept * offset[stance, 1])
+        return TaskSpace(sole, plan.pelvis.at[2].add(kept * state.pelvis_offset - lowered))
 
-        The plan is taken at `tau` by its Taylor polynomial about the tick (or as `at_rest`, where it stands still).
-        """
-        p, phase = self.params, nominal.phase
-        plan = _taylor(nominal, tau - phase.time_since_liftoff) if at_rest is None else at_rest
-        kept = 1.0 - _smooth(tau / (p.release_share * phase.T_s))
-        descent = _descent(p, tau - phase.T_s, phase.T_c - phase.T_s)
+    def _kept(self, phase: Phase, tau: Scalar) -> Scalar:
+        """Share of the offsets that is not released yet (Eq. 16); a reflex releases nothing."""
+        kept = 1.0 - smooth(tau / (self.params.release_share * phase.T_s))
+        return jnp.where(phase.kind == REFLEX_STEP, 1.0, kept)
+
+    def _set_down(self, state: LandingState, tau: Scalar) -> tuple[Scalar, Scalar]:
+        """x_mod and z_mod (Eqs. 6 and 7)."""
         since = tau - state.touch_tau
         x_mod, z_mod = (
-            _set_down(since, state.T_mod, state.touch[1, i], state.touch[2, i], way)
-            for i, way in ((0, state.delta_x), (1, -p.delta_z))
+            quintic_to_rest(since, state.T_mod, state.touch[1, i], state.touch[2, i], way)
+            for i, way in ((0, state.delta_x), (1, -self.params.delta_z))
         )
-        stance = 1 - swing
-        swing_x = plan.sole[swing, 0] + kept * state.foot_offset[swing, 0]
-        swing_x = jnp.where(state.touched, state.touch[0, 0] + x_mod, swing_x)
-        swing_z = jnp.where(state.touched, state.touch[0, 1] + z_mod, plan.sole[swing, 2] - descent)
-        stance_x = state.foot_offset[stance, 0] * (1.0 if p.keep_x else kept)
-        at_touch = _descent(p, state.touch_tau - phase.T_s, phase.T_c - phase.T_s)
-        lowered = jnp.where(state.touched, at_touch - (z_mod if p.pelvis_follows else 0.0), descent)
-        lowered = jnp.where(state.touched & ~state.late, 0.0, lowered)
-        sole = plan.sole.at[swing, 0].set(swing_x).at[swing, 2].set(swing_z)
-        sole = sole.at[stance, 0].add(stance_x).at[stance, 2].add(kept * state.foot_offset[stance, 1])
-        return TaskSpace(sole, plan.pelvis.at[2].add(kept * state.pelvis_offset - lowered))
+        return x_mod, z_mod
+
+    def _lowered(self, state: LandingState, phase: Phase, tau: Scalar) -> Scalar:
+        """How far the pelvis has descended in a retard landing [m] (Eqs. 14 and 15)."""
+        _, z_mod = self._set_down(state, tau)
+        descent = _descent(self.params, tau - phase.T_s, phase.T_c - phase.T_s)
+        after = jnp.where(state.late, state.descended - (z_mod if self.params.pelvis_follows else 0.0), 0.0)
+        return jnp.where(state.touched, after, jnp.where(state.aloft, descent, 0.0))
 
 
 def nominal_T_mod(gait: Gait, delta_z: Scalar) -> Scalar:
@@ -323,22 +357,6 @@ def _taylor(nominal: Targets, dt: Scalar) -> TaskSpace:
         nominal.velocity,
         nominal.acceleration,
     )
-
-
-def _smooth(u: Scalar) -> Scalar:
-    """Quintic from 0 to 1 with zero first and second derivative at both ends (khadiv Eq. 16)."""
-    u = jnp.clip(u, 0.0, 1.0)
-    return u * u * u * (10.0 + u * (6.0 * u - 15.0))
-
-
-def _set_down(t: Scalar, T: Scalar, v: Scalar, a: Scalar, way: Scalar) -> Scalar:
-    """Quintic from (0, v, a) at 0 to (way, 0, 0) at T, held there (khadiv Eqs. 6 and 7)."""
-    r = jnp.minimum(t / T, 1.0)  # not clipped at 0: there the velocity must be v, not half of it
-    r2 = r * r
-    r3 = r2 * r
-    from_velocity = r + r3 * (-6.0 + r * (8.0 - 3.0 * r))
-    from_acceleration = 0.5 * r2 + r3 * (-1.5 + r * (1.5 - 0.5 * r))
-    return v * T * from_velocity + a * T * T * from_acceleration + way * r3 * (10.0 + r * (6.0 * r - 15.0))
 
 
 def _descent(p: Landing, t: Scalar, T_d: Scalar) -> Scalar:

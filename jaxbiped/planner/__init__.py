@@ -8,6 +8,9 @@ from jaxbiped.planner.polynomial_gait import PolynomialGait, PolynomialParams, S
 from jaxbiped.planner.presets import cosine_params, polynomial_params
 from jaxbiped.planner.targets import (
     DOUBLE_SUPPORT,
+    PLANNED_STEP,
+    RECOVERY_STEP,
+    REFLEX_STEP,
     SINGLE_SUPPORT,
     Gait,
     Phase,
@@ -19,6 +22,9 @@ from jaxbiped.planner.targets import (
 
 __all__ = [
     "DOUBLE_SUPPORT",
+    "PLANNED_STEP",
+    "RECOVERY_STEP",
+    "REFLEX_STEP",
     "SINGLE_SUPPORT",
     "CosineGait",
     "CosineParams",

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 SINGLE_SUPPORT, DOUBLE_SUPPORT = 0, 1
+PLANNED_STEP, REFLEX_STEP, RECOVERY_STEP = 0, 1, 2
+"""A step of the gait, or what an adaptation does in its place: stand still, and make up for it."""
 
 
 class TaskSpace(eqx.Module):
@@ -35,7 +37,11 @@ class Phase(eqx.Module):
     T_s: Float[Array, ""]
     """Duration of this step's single support [s]."""
     T_c: Float[Array, ""]
-    """Duration of this step [s]."""
+    """End of this step, since its lift-off [s]."""
+    kind: Int[Array, ""]
+    """PLANNED_STEP, REFLEX_STEP or RECOVERY_STEP."""
+    begin: Float[Array, ""]
+    """Beginning of this step, since its lift-off [s]."""
 
 
 class Timing(eqx.Module):
@@ -75,6 +81,8 @@ def step_phase(timing: Timing, t: Float[Array, ""]) -> Phase:
         time_since_liftoff=since_liftoff,
         T_s=T_s,
         T_c=timing.T_c,
+        kind=jnp.full_like(step, PLANNED_STEP),
+        begin=jnp.zeros_like(since_liftoff),
     )
 
 
@@ -90,7 +98,7 @@ class Targets(eqx.Module):
     phase: Phase
     """Where in the walk this is."""
     time: Float[Array, ""]
-    """Time in the plan [s]."""
+    """Time in the plan whose joint torques suit these targets [s]."""
 
 
 @runtime_checkable

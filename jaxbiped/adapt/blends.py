@@ -1,0 +1,22 @@
+"""Quintics by which adaptation gets from one motion to another."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Scalar = Float[Array, ""]
+
+
+def smooth(u: Scalar) -> Scalar:
+    """From 0 at u <= 0 to 1 at u >= 1 with zero first and second derivative at both ends (khadiv Eq. 16)."""
+    u = jnp.clip(u, 0.0, 1.0)
+    return u * u * u * (10.0 + u * (6.0 * u - 15.0))
+
+
+def quintic_to_rest(t: Scalar, T: Scalar, v: Array, a: Array, way: Array) -> Array:
+    """From (0, v, a) at t = 0 to (way, 0, 0) at T, held there (khadiv Eqs. 6 and 7)."""
+    r = jnp.minimum(t / T, 1.0)  # not clipped at 0: there the velocity must be v, not half of it
+    r2 = r * r
+    r3 = r2 * r
+    from_velocity = r + r3 * (-6.0 + r * (8.0 - 3.0 * r))
+    from_acceleration = 0.5 * r2 + r3 * (-1.5 + r * (1.5 - 0.5 * r))
+    return v * T * from_velocity + a * T * T * from_acceleration + way * r3 * (10.0 + r * (6.0 * r - 15.0))

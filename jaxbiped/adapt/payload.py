@@ -1,0 +1,597 @@
+"""Payload reflex and adaptation (El-Kahlout's thesis, sections 3.3, 4.3, 4.4): stand still, lean right, walk on.
+
+The load is felt as a jump of the low-passed sum of the vertical foot forces. Then
+
+    REFLEX    both feet go to a symmetric stance, the swing foot down to the ground (Eqs. 3.11-3.17)
+    SETTLE    the robot stands still; at the end the low-passed ZMP is read (Eq. 3.18)
+    SHIFT     the body moves over the feet until the ZMP is where it balances, x_ref (Eqs. 3.19-3.21)
+    RECOVER   one step of the foot ahead restores the step length (Eqs. 3.22-3.34)
+    HOLD      the robot stands still for half the settling time (Eqs. 3.35-3.40)
+    WALK      the plan goes on at the matching phase, with the new x_ref
+
+A further change of weight from SHIFT on starts the machine again from wherever the robot is. Positions are those of
+the soles in the body frame, as in the thesis; what is nominal (b_s, w_of, h_b, sway, lift, times) is read off the
+plan, so any gait will do. In the world the stance foot stands still.
+
+Arms: `original` (Eq. 3.17, 2 s), `modified` (Eqs. 4.5, 4.6, 4 s), both to the letter of the equations but for the
+errata listed in docs/papers.md; `repaired`: every repair a switch of its own.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbiped.adapt.blends import quintic_to_rest, smooth
+from jaxbiped.adapt.sensed import Sensed
+from jaxbiped.kinematics import body
+from jaxbiped.planner import (
+    DOUBLE_SUPPORT,
+    RECOVERY_STEP,
+    REFLEX_STEP,
+    SINGLE_SUPPORT,
+    Gait,
+    Phase,
+    Targets,
+    TaskSpace,
+    Timing,
+    is_concrete,
+)
+from jaxbiped.planner.polynomial import as_scalar
+from jaxbiped.robot import LEFT, RIGHT, RobotParams
+
+Scalar = Float[Array, ""]
+
+WALK, REFLEX, SETTLE, SHIFT, RECOVER, HOLD = range(6)
+MODE_TEXT = ("walk", "reflex", "settle", "shift", "recover", "hold")
+FORCE_TIME_CONSTANT = 0.09975
+"""Of lambda = 5e-3 per tick of 0.5 ms, the thesis' force filter [s]."""
+ZMP_TIME_CONSTANT = 0.99975
+"""Of lambda = 5e-4 per tick of 0.5 ms, the thesis' ZMP filter [s]."""
+X_REFLEX_ORIGINAL = ((0.01, -0.01), (0.01, -0.01), (0.01, -0.01))
+"""Eq. 3.17: the left foot forward, the right one back, whatever happens."""
+X_REFLEX_MODIFIED = ((-0.01, 0.01), (0.01, -0.01), (0.0, 0.0))
+"""Eqs. 4.5, 4.6: the foot on the ground towards the body."""
+_SMALLEST_STEP = 0.02
+"""f below which a steady recovery makes no step."""
+
+
+def _table(value: Any) -> Any:
+    return jnp.asarray(value, jnp.result_type(float))
+
+
+class PayloadReflex(eqx.Module):
+    """Parameters of the payload stage."""
+
+    zmp_balanced: Scalar = eqx.field(converter=as_scalar)
+    """ZMP forward of the pelvis at which the unloaded robot balances, -0.035 in the thesis [m]."""
+    x_reflex: Float[Array, "3 2"] = eqx.field(converter=_table, default=X_REFLEX_MODIFIED)
+    """How far the reflex moves (left, right) foot forward [m]; rows: left foot swings, right foot swings, double
+    support."""
+    threshold: Scalar = eqx.field(converter=as_scalar, default=25.0)
+    """Change of the low-passed force that starts the reflex [N]."""
+    force_time_constant: Scalar = eqx.field(converter=as_scalar, default=FORCE_TIME_CONSTANT)
+    """Of the low-pass of the summed foot force, Eq. 3.7 [s]."""
+    zmp_time_constant: Scalar = eqx.field(converter=as_scalar, default=ZMP_TIME_CONSTANT)
+    """Of the low-pass of the ZMP, Eq. 3.18 [s]."""
+    reflex_time: Scalar = eqx.field(converter=as_scalar, default=0.1)
+    """t_refl_per [s]."""
+    settling_time: Scalar = eqx.field(converter=as_scalar, default=4.0)
+    """t_set_t [s]."""
+    shift_time: Scalar = eqx.field(converter=as_scalar, default=0.5)
+    """t_x_ref_as [s]."""
+    x_ref_gain: Scalar = eqx.field(converter=as_scalar, default=1.0)
+    """Share of the measured ZMP error by which x_ref is shifted."""
+    smooth_reflex: bool = eqx.field(static=True, default=True)
+    """Repair: the reflex takes over velocity and acceleration instead of starting with a velocity step."""
+    steady_recovery: bool = eqx.field(static=True, default=True)
+    """Repair: the recovery step takes a whole T_s, with the body over the stance foot, and the body advances after it
+    instead of during it."""
+    smooth_resume: bool = eqx.field(static=True, default=True)
+    """Repair: the plan is brought up to speed over a double support instead of at once."""
+    interpolate: bool = eqx.field(static=True, default=True)
+    """Take events from inside the tick; False: from the tick that saw them."""
+
+    def __check_init__(self) -> None:
+        """Refuse what cannot be meant."""
+        units = {"threshold": "N"}
+        for name in (
+            "threshold",
+            "force_time_constant",
+            "zmp_time_constant",
+            "reflex_time",
+            "settling_time",
+            "shift_time",
+        ):
+            value, unit = getattr(self, name), units.get(name, "s")
+            if jnp.ndim(value) == 0 and is_concrete(value) and not value > 0.0:
+                raise ValueError(f"{name}: got {float(value):g} {unit}, allowed: > 0 {unit}")
+
+    @classmethod
+    def original(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+        """Eqs. 3.7-3.40: settling 2 s."""
+        return cls._literal(robot, gait, x_reflex=X_REFLEX_ORIGINAL, settling_time=2.0, **parameters)
+
+    @classmethod
+    def modified(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+        """With Eqs. 4.5, 4.6 and settling 4 s."""
+        return cls._literal(robot, gait, x_reflex=X_REFLEX_MODIFIED, settling_time=4.0, **parameters)
+
+    @classmethod
+    def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+        """The modified one with every repair."""
+        return cls(**{"zmp_balanced": standing_zmp(robot, gait), **parameters})
+
+    @classmethod
+    def _literal(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+        switches = {name: False for name in ("smooth_reflex", "steady_recovery", "smooth_resume")}
+        return cls(**{"zmp_balanced": standing_zmp(robot, gait), **switches, **parameters})
+
+
+class PayloadState(eqx.Module):
+    """What the stage remembers between two ticks. The body frame is the pelvis', heading along x."""
+
+    mode: Int[Array, ""]
+    """WALK, REFLEX, SETTLE, SHIFT, RECOVER or HOLD."""
+    time: Scalar
+    """Of the last reading [s]; negative before the first."""
+    force: Scalar
+    """Low-passed sum of the vertical foot forces [N]."""
+    zmp: Scalar
+    """Low-passed ZMP forward of the pelvis [m]."""
+    weight: Scalar
+    """Low-passed force that is taken for normal [N]."""
+    reflexes: Int[Array, ""]
+    """How many reflexes there have been."""
+    trigger_time: Scalar
+    """Of the last reflex [s]."""
+    trigger_plan_time: Scalar
+    """Plan time at the last reflex [s]."""
+    support: Int[Array, ""]
+    """Support phase at the last reflex."""
+    swing: Int[Array, ""]
+    """The foot that swung then, or swung last."""
+    start_sole: Float[Array, "2 3"]
+    """Soles in the world then [m]."""
+    start: Float[Array, "3 2 3"]
+    """Position, velocity, acceleration of the soles in the body frame then [m]."""
+    end: Float[Array, "2 3"]
+    """Soles in the body frame at the end of the reflex [m]."""
+    next_step: Int[Array, ""]
+    """Number of the plan's step with which the walk goes on; n_steps if there is none left."""
+    x_shift: Scalar
+    """Shift of x_ref at the last reflex [m]."""
+    x_shift_new: Scalar
+    """Shift of x_ref that is wanted [m]."""
+    resume_time: Scalar
+    """When the walk went on [s]."""
+    resume_plan_time: Scalar
+    """Plan time then [s]."""
+    world_shift: Scalar
+    """How far the walk has got ahead of the plan [m]."""
+
+
+class _Recovery(eqx.Module):
+    """The recovery step of a reflex."""
+
+    swing: Int[Array, ""]
+    """The foot ahead."""
+    f: Scalar
+    """Missing step length over twice the step length, Eq. 3.23."""
+    t_ss: Scalar
+    """Single support, Eq. 3.24 [s]."""
+    t_ds: Scalar
+    """Double support, Eq. 3.25 [s]."""
+    sway: Scalar
+    """How far the body goes towards the stance foot [m]."""
+    lift: Scalar
+    """How high the swing foot goes [m]."""
+    goal: Float[Array, "2 3"]
+    """Soles in the body frame at the end, but for the shift of x_ref [m]."""
+
+
+class PayloadStage(eqx.Module):
+    """The payload stage for one planned walk."""
+
+    params: PayloadReflex
+    """Parameters."""
+    resume_plan_time: Float[Array, " n"]
+    """Plan time from which the walk goes on with each step, and at rest after the last [s]."""
+    foothold: Float[Array, "n 2"]
+    """Where the soles are then, forward in the world [m]."""
+    stance: Float[Array, "n 2 3"]
+    """Soles in the body frame then [m]."""
+    stride: Scalar
+    """Distance of the soles in double support, 2 b_s [m]."""
+    sway: Scalar
+    """Greatest lateral way of the body from the middle, w [m]."""
+    lift: Scalar
+    """Greatest height of the swing foot, h_s [m]."""
+
+    @classmethod
+    def plan(cls, params: PayloadReflex, gait: Gait) -> "PayloadStage":
+        """Read the stances and the size of a step off the plan."""
+        times = resume_plan_times(gait)
+        task = jax.vmap(gait.task)(times)
+        middle = gait.task(gait.timing.liftoff(0) + 0.5 * gait.timing.T_s)
+        return cls(
+            params=params,
+            resume_plan_time=times,
+            foothold=task.sole[:, :, 0],
+            stance=task.sole - task.pelvis[:, None],
+            stride=jnp.maximum(jnp.abs(task.sole[:, 0, 0] - task.sole[:, 1, 0]).max(), 1e-3),
+            sway=jnp.abs(middle.pelvis[1] - middle.sole[:, 1].mean()),
+            lift=middle.sole[:, 2].max(),
+        )
+
+    def init(self) -> PayloadState:
+        """Before the first tick."""
+        zero, count = jnp.zeros_like(self.sway), jnp.zeros((), jnp.int32)
+        return PayloadState(
+            mode=count + WALK,
+            time=zero - 1.0,
+            force=zero,
+            zmp=zero,
+            weight=zero,
+            reflexes=count,
+            trigger_time=zero,
+            trigger_plan_time=zero,
+            support=count + DOUBLE_SUPPORT,
+            swing=count,
+            start_sole=self.stance[0],
+            start=jnp.zeros((3, 2, 3), zero.dtype).at[0].set(self.stance[0]),
+            end=self.stance[0],
+            next_step=count,
+            x_shift=zero,
+            x_shift_new=zero,
+            resume_time=zero,
+            resume_plan_time=zero,
+            world_shift=zero,
+        )
+
+    def step(self, state: PayloadState, gait: Gait, sensed: Sensed) -> tuple[PayloadState, Targets]:
+        """One control tick: the plan, or what stands in its place."""
+        state, before = self._filter(state, sensed), state
+        state = self._advance(state, before, gait.timing)
+        plan = self._plan_targets(state, gait, sensed.time)
+        targets = self._targets(state, plan, gait.timing, sensed.time)
+        triggered, trigger_time = self._watch(state, before)
+        reflex = self._trigger(state, targets, gait.timing, trigger_time)
+        instead = self._targets(reflex, plan, gait.timing, sensed.time)
+        return jax.tree.map(lambda a, b: jnp.where(triggered, a, b), (reflex, instead), (state, targets))
+
+    def _filter(self, state: PayloadState, sensed: Sensed) -> PayloadState:
+        """Low-pass force and ZMP (Eqs. 3.7 and 3.18); the first reading is taken as it is."""
+        p, first = self.params, state.time < 0.0
+        dt = sensed.time - state.time
+        force, zmp = sensed.corner_force.sum(), sensed.zmp_body[0]
+
+        def low_pass(old: Scalar, new: Scalar, time_constant: Scalar) -> Scalar:
+            return jnp.where(first, new, old + (1.0 - jnp.exp(-dt / time_constant)) * (new - old))
+
+        return eqx.tree_at(
+            lambda s: (s.time, s.force, s.zmp, s.weight),
+            state,
+            (
+                sensed.time,
+                low_pass(state.force, force, p.force_time_constant),
+                low_pass(state.zmp, zmp, p.zmp_time_constant),
+                jnp.where(first, force, state.weight),
+            ),
+        )
+
+    def _watch(self, state: PayloadState, before: PayloadState) -> tuple[Bool[Array, ""], Scalar]:
+        """Whether the force has left the band around the weight, and when."""
+        p = self.params
+        now = jnp.abs(state.force - state.weight) - p.threshold
+        then = jnp.abs(before.force - state.weight) - p.threshold
+        listening = (state.mode == WALK) | (state.mode >= SHIFT)
+        crossed = (then < 0.0) & (now > 0.0)
+        share = jnp.where(crossed, then / jnp.where(crossed, then - now, 1.0), 1.0)
+        share = share if p.interpolate else jnp.ones_like(share)
+        inside = jnp.where(before.time < 0.0, state.time, before.time + share * (state.time - before.time))
+        return listening & (now > 0.0), inside
+
+    def _trigger(self, state: PayloadState, targets: Targets, timing: Timing, time: Scalar) -> PayloadState:
+        """Start a reflex at `time`, from the targets as they were then (their Taylor polynomial about the tick)."""
+        p, back = self.params, time - state.time
+        orders = (targets.position, targets.velocity, targets.acceleration)
+        sole, velocity, acceleration = (order.sole for order in orders)
+        position, speed, change = (order.sole - order.pelvis for order in orders)
+        start = jnp.stack(
+            [position + back * speed + 0.5 * back * back * change, speed + back * change, change]
+        )
+        phase = targets.phase
+        aloft = phase.support == SINGLE_SUPPORT
+        applied = self._applied_shift(state, time)
+        row = jnp.where(aloft, phase.swing, 2)
+        x = start[0, :, 0] + p.x_reflex[row]
+        ahead = _foot_ahead(x)
+        next_step = _matching_step(self._upcoming(state, phase), ahead, aloft, timing)
+        end = self.stance[next_step].at[:, 0].set(x)
+        return eqx.tree_at(
+            lambda s: (
+                s.mode,
+                s.reflexes,
+                s.trigger_time,
+                s.trigger_plan_time,
+                s.support,
+                s.swing,
+                s.start_sole,
+                s.start,
+                s.end,
+                s.next_step,
+                s.x_shift,
+                s.x_shift_new,
+            ),
+            state,
+            (
+                jnp.full_like(state.mode, REFLEX),
+                state.reflexes + 1,
+                time,
+                targets.time + back,
+                phase.support,
+                phase.swing,
+                sole + back * velocity + 0.5 * back * back * acceleration,
+                start,
+                end,
+                next_step,
+                applied,
+                applied,
+            ),
+        )
+
+    def _upcoming(self, state: PayloadState, phase: Phase) -> Int[Array, ""]:
+        """Number of the plan's step that comes next."""
+        walking = jnp.where(phase.time_since_liftoff < 0.0, phase.step, phase.step + 1)
+        return jnp.where(phase.kind == RECOVERY_STEP, state.next_step, walking).astype(jnp.int32)
+
+    def _applied_shift(self, state: PayloadState, time: Scalar) -> Scalar:
+        """Shift of x_ref at `time` [m] (Eq. 3.21)."""
+        p = self.params
+        since = time - (state.trigger_time + p.reflex_time + p.settling_time)
+        share = jnp.where(state.mode <= SETTLE, 0.0, jnp.clip(since / p.shift_time, 0.0, 1.0))
+        share = jnp.where(state.mode == WALK, 1.0, share)
+        return state.x_shift + share * (state.x_shift_new - state.x_shift)
+
+    def _ends(self, state: PayloadState, timing: Timing) -> Float[Array, "6"]:
+        """When each mode ends, by its number [s]."""
+        p, step = self.params, self._recovery(state, timing)
+        lengths = [
+            state.trigger_time,
+            p.reflex_time,
+            p.settling_time,
+            p.shift_time,
+            step.t_ss + step.t_ds,
+            0.5 * p.settling_time,
+        ]
+        return jnp.cumsum(jnp.stack(lengths))
+
+    def _advance(self, state: PayloadState, before: PayloadState, timing: Timing) -> PayloadState:
+        """Leave a mode whose time is over."""
+        end = self._ends(state, timing)[state.mode]
+        over = (state.mode != WALK) & (state.time >= end)
+        stay = lambda s: s  # noqa: E731
+
+        def to(mode: int) -> Any:
+            return lambda s: eqx.tree_at(lambda t: t.mode, s, jnp.full_like(s.mode, mode))
+
+        def read(s: PayloadState) -> PayloadState:
+            """Eqs. 3.19 and 3.20, and the weight that is normal from now on."""
+            dt = s.time - before.time
+            share = jnp.clip((end - before.time) / jnp.where(dt > 0.0, dt, 1.0), 0.0, 1.0)
+            share = share if self.params.interpolate else jnp.ones_like(share)
+            zmp = before.zmp + share * (s.zmp - before.zmp)
+            wanted = self.params.x_ref_gain * (zmp - self.params.zmp_balanced)
+            values = (jnp.full_like(s.mode, SHIFT), wanted, before.force + share * (s.force - before.force))
+            return eqx.tree_at(lambda t: (t.mode, t.x_shift_new, t.weight), s, values)
+
+        def resume(s: PayloadState) -> PayloadState:
+            stance = 1 - _foot_ahead(s.end[:, 0])
+            values = (
+                jnp.full_like(s.mode, WALK),
+                end if self.params.interpolate else s.time,
+                self.resume_plan_time[s.next_step],
+                _stance_place(s, stance)[0] - self.foothold[s.next_step, stance],
+                s.x_shift_new,
+            )
+            return eqx.tree_at(
+                lambda t: (t.mode, t.resume_time, t.resume_plan_time, t.world_shift, t.x_shift), s, values
+            )
+
+        leave = [stay, to(SETTLE), read, to(RECOVER), to(HOLD), resume]
+        return jax.lax.switch(jnp.where(over, state.mode, WALK), leave, state)
+
+    def _recovery(self, state: PayloadState, timing: Timing) -> _Recovery:
+        """Eqs. 3.22-3.25; Eq. 3.23 by the step length that is missing, its half in the symmetric stance."""
+        T_s, T_d = timing.T_s, timing.T_c - timing.T_s
+        goal, swing = self.stance[state.next_step], _foot_ahead(state.end[:, 0])
+        missing = (goal[swing, 0] - state.end[swing, 0]) - (goal[1 - swing, 0] - state.end[1 - swing, 0])
+        f = jnp.minimum(0.5 * jnp.abs(missing) / self.stride, 0.999)
+        if self.params.steady_recovery:
+            steps = jnp.where(f > _SMALLEST_STEP, 1.0, 0.0)
+            half_distance = 0.5 * (goal[LEFT, 1] - goal[RIGHT, 1])
+            return _Recovery(swing, f, T_s, 1.2 * T_s, steps * half_distance, steps * self.lift, goal)
+        t_ss = T_s * jnp.arccos(f) / jnp.pi
+        return _Recovery(swing, f, t_ss, T_d / T_s * t_ss, self.sway * f, self.lift * f, goal)
+
+    def _plan_time(self, state: PayloadState, timing: Timing, time: Scalar) -> Scalar:
+        """Plan time at `time` [s] while the robot walks."""
+        since = time - state.resume_time
+        if not self.params.smooth_resume:
+            return state.resume_plan_time + since
+        lead = 0.5 * (timing.T_c - timing.T_s)
+        r = jnp.minimum(0.5 * since / lead, 1.0)
+        slow = lead * r * r * r * (2.0 - r) + jnp.maximum(since - 2.0 * lead, 0.0)
+        on_the_way = (state.next_step > 0) & (state.next_step < timing.n_steps) & (state.reflexes > 0)
+        return state.resume_plan_time + jnp.where(on_the_way, slow, since)
+
+    def _plan_targets(self, state: PayloadState, gait: Gait, time: Scalar) -> Targets:
+        """The plan, wherever the walk has got to."""
+        one = jnp.ones_like(time)
+
+        def plan(t: Scalar) -> TaskSpace:
+            return self._in_world(gait.task(self._plan_time(state, gait.timing, t)), state)
+
+        def with_velocity(t: Scalar) -> tuple[TaskSpace, TaskSpace]:
+            return jax.jvp(plan, (t,), (one,))
+
+        (position, velocity), (_, acceleration) = jax.jvp(with_velocity, (time,), (one,))
+        plan_time = self._plan_time(state, gait.timing, time)
+        return Targets(position, velocity, acceleration, gait.phase(plan_time), plan_time)
+
+    def _in_world(self, task: TaskSpace, state: PayloadState) -> TaskSpace:
+        """The plan's task space where the walk is, with the body behind the feet by the shift of x_ref."""
+        pelvis = task.pelvis.at[0].add(state.world_shift - state.x_shift)
+        return TaskSpace(task.sole.at[:, 0].add(state.world_shift), pelvis)
+
+    def _targets(self, state: PayloadState, plan: Targets, timing: Timing, time: Scalar) -> Targets:
+        """What the robot is to do at `time`: the plan, or the pose of the mode it is in."""
+        one = jnp.ones_like(time)
+
+        def pose(t: Scalar) -> TaskSpace:
+            return self._pose(state, timing, t)
+
+        def with_velocity(t: Scalar) -> tuple[TaskSpace, TaskSpace]:
+            return jax.jvp(pose, (t,), (one,))
+
+        (position, velocity), (_, acceleration) = jax.jvp(with_velocity, (time,), (one,))
+        plan_time = self._feed_forward_time(state, timing, time)
+        instead = Targets(position, velocity, acceleration, plan.phase, plan_time)
+        targets = jax.tree.map(lambda a, b: jnp.where(state.mode == WALK, a, b), plan, instead)
+        phase = self._phase(state, plan, timing, time)
+        return eqx.tree_at(lambda t: t.phase, targets, phase)
+
+    def _pose(self, state: PayloadState, timing: Timing, time: Scalar) -> TaskSpace:
+        """Soles and pelvis in the world outside WALK; the stance foot stands still."""
+        since = time - state.trigger_time
+        step = self._recovery(state, timing)
+        before = state.mode < RECOVER
+        in_body = jnp.where(
+            before,
+            self._reflex_pose(state, since, time),
+            self._recovery_pose(state, step, time),
+        )
+        stance = jnp.where(before, 1 - state.swing, 1 - step.swing)
+        pelvis = _stance_place(state, stance) - in_body[stance]
+        return TaskSpace(pelvis + in_body, pelvis)
+
+    def _reflex_pose(self, state: PayloadState, since: Scalar, time: Scalar) -> Float[Array, "2 3"]:
+        """Soles in the body frame up to the end of SHIFT (Eqs. 3.11-3.17 and 3.21)."""
+        T, way = self.params.reflex_time, state.end - state.start[0]
+        if self.params.smooth_reflex:
+            moved = quintic_to_rest(since, T, state.start[1], state.start[2], way)
+        else:
+            moved = jnp.clip(since / T, 0.0, 1.0) * way
+        shift = self._applied_shift(state, time) - state.x_shift
+        return (state.start[0] + moved).at[:, 0].add(shift)
+
+    def _recovery_pose(self, state: PayloadState, step: _Recovery, time: Scalar) -> Float[Array, "2 3"]:
+        """Soles in the body frame in RECOVER and HOLD (Eqs. 3.26-3.40)."""
+        p = self.params
+        since = time - (state.trigger_time + p.reflex_time + p.settling_time + p.shift_time)
+        aloft = jnp.clip((since - 0.5 * step.t_ds) / step.t_ss, 0.0, 1.0)
+        wave = jnp.clip(since / (step.t_ss + step.t_ds), 0.0, 1.0)
+        foot = 0.5 * (1.0 - jnp.cos(jnp.pi * aloft))
+        pelvis = foot
+        if p.steady_recovery:
+            after = (since - 0.5 * step.t_ds - step.t_ss) / (0.5 * step.t_ds)
+            pelvis = smooth(after)
+        way, swing = step.goal[:, 0] - state.end[:, 0], step.swing
+        forward = jnp.full_like(way, way[1 - swing]) * pelvis
+        forward = forward.at[swing].add((way[swing] - way[1 - swing]) * foot)
+        aside = jnp.where(swing == LEFT, 1.0, -1.0) * 0.5 * step.sway * (1.0 - jnp.cos(2.0 * jnp.pi * wave))
+        up = 0.5 * step.lift * (1.0 - jnp.cos(2.0 * jnp.pi * aloft))
+        sole = state.end.at[:, 0].add(forward + state.x_shift_new - state.x_shift)
+        return sole.at[:, 1].add(aside).at[swing, 2].add(up)
+
+    def _feed_forward_time(self, state: PayloadState, timing: Timing, time: Scalar) -> Scalar:
+        """Plan time whose joint torques suit the pose outside WALK: both feet loaded, or the step of the same foot."""
+        step, ends = self._recovery(state, timing), self._ends(state, timing)
+        before = self.resume_plan_time[jnp.maximum(state.next_step - 1, 0)]
+        after = self.resume_plan_time[state.next_step]
+        down = jnp.clip((time - state.trigger_time) / self.params.reflex_time, 0.0, 1.0)
+        on = jnp.clip((time - ends[SHIFT]) / (step.t_ss + step.t_ds), 0.0, 1.0)
+        return (1.0 - down) * state.trigger_plan_time + down * (before + on * (after - before))
+
+    def _phase(self, state: PayloadState, plan: Targets, timing: Timing, time: Scalar) -> Phase:
+        """Phase of the plan, of the reflex, or of the recovery step, which lasts until the plan's next lift-off."""
+        p, step, ends = self.params, self._recovery(state, timing), self._ends(state, timing)
+        since = time - state.trigger_time
+        falling = (state.mode == REFLEX) & (state.support == SINGLE_SUPPORT)
+        reflex = Phase(
+            step=plan.phase.step,
+            swing=state.swing,
+            support=jnp.where(falling, SINGLE_SUPPORT, DOUBLE_SUPPORT),
+            time_in_phase=jnp.where(state.mode == REFLEX, since, time - ends[REFLEX]),
+            time_since_liftoff=since,
+            T_s=p.reflex_time,
+            T_c=p.reflex_time + p.settling_time,
+            kind=jnp.full_like(state.mode, REFLEX_STEP),
+            begin=jnp.zeros_like(since),
+        )
+        liftoff = ends[SHIFT] + 0.5 * step.t_ds
+        tau = time - liftoff
+        single = (tau >= 0.0) & (tau < step.t_ss) & (step.lift > 0.0)
+        standing = jnp.where(tau < 0.0, time - ends[SETTLE], tau - step.t_ss)
+        recovery = Phase(
+            step=jnp.maximum(state.next_step - 1, 0),
+            swing=step.swing,
+            support=jnp.where(single, SINGLE_SUPPORT, DOUBLE_SUPPORT),
+            time_in_phase=jnp.where(single, tau, standing),
+            time_since_liftoff=tau,
+            T_s=step.t_ss,
+            T_c=ends[HOLD] + self._resume_lead(state, timing) - liftoff,
+            kind=jnp.full_like(state.mode, RECOVERY_STEP),
+            begin=ends[SETTLE] - liftoff,
+        )
+        last = state.next_step == timing.n_steps
+        waiting = last | (plan.time < timing.liftoff(state.next_step))
+        recovering = (state.mode >= SHIFT) | ((state.mode == WALK) & (state.reflexes > 0) & waiting)
+        reflexive = (state.mode == REFLEX) | (state.mode == SETTLE)
+        phase = jax.tree.map(lambda a, b: jnp.where(recovering, a, b), recovery, plan.phase)
+        return jax.tree.map(lambda a, b: jnp.where(reflexive, a, b), reflex, phase)
+
+    def _resume_lead(self, state: PayloadState, timing: Timing) -> Scalar:
+        """From the walk's going on to its next lift-off [s]."""
+        lead = timing.liftoff(state.next_step) - self.resume_plan_time[state.next_step]
+        on_the_way = (state.next_step > 0) & (state.next_step < timing.n_steps)
+        lead = jnp.where(on_the_way & self.params.smooth_resume, 2.0 * lead, lead)
+        return jnp.where(state.next_step == timing.n_steps, 1e3, lead)
+
+
+def resume_plan_times(gait: Gait) -> Float[Array, " n"]:
+    """Plan times [s] from which the walk can go on: mid double support before each step, the first and last at rest."""
+    timing = gait.timing
+    middle = timing.liftoff(jnp.arange(1, timing.n_steps)) - 0.5 * (timing.T_c - timing.T_s)
+    return jnp.concatenate([jnp.zeros((1,), middle.dtype), middle, gait.duration[None]])
+
+
+def standing_zmp(robot: RobotParams, gait: Gait) -> Scalar:
+    """ZMP forward of the pelvis [m] of the robot standing still as in mid double support: its centre of mass."""
+    task = gait.task(resume_plan_times(gait)[min(1, gait.timing.n_steps)])
+    angle, _ = body.joint_angles(robot, task.sole - task.pelvis)
+    pose = body.pose(robot, jnp.zeros(3, angle.dtype), jnp.eye(3, dtype=angle.dtype), angle)
+    return body.com(robot, pose)[0]
+
+
+def _foot_ahead(x: Float[Array, "2"]) -> Int[Array, ""]:
+    """The foot further ahead, the left one if there is none (the conditions on x_r_e <= x_l_e)."""
+    return jnp.where(x[RIGHT] <= x[LEFT], LEFT, RIGHT)
+
+
+def _matching_step(
+    upcoming: Int[Array, ""], ahead: Int[Array, ""], aloft: Bool[Array, ""], timing: Timing
+) -> Int[Array, ""]:
+    """The plan's step to go on with: the one at hand or the one before it, so that the foot behind swings."""
+    behind_swings = (timing.first_swing + upcoming) % 2 != ahead
+    finished = (upcoming == timing.n_steps) & ~aloft
+    return jnp.where(behind_swings | finished | (upcoming == 0), upcoming, upcoming - 1)
+
+
+def _stance_place(state: PayloadState, foot: Int[Array, ""]) -> Float[Array, "3"]:
+    """Where a foot stands in the world since the end of the reflex; before it, this is so for the stance foot."""
+    stance = 1 - state.swing
+    return state.start_sole[stance] + state.end[foot] - state.end[stance]
