@@ -56,7 +56,8 @@ class Controller(eqx.Module):
         """One control tick: read the sensors, give task-space targets."""
         payload, landing = state.payload, state.landing
         if self.payload is not None and payload is not None:
-            payload, targets = self.payload.step(payload, self.gait, sensed)
+            shaken = jnp.zeros((), bool) if landing is None else landing.shaken(sensed.time)
+            payload, targets = self.payload.step(payload, self.gait, sensed, shaken)
         else:
             targets = at(self.gait, sensed.time)
         if self.landing is not None and landing is not None:

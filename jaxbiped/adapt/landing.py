@@ -27,6 +27,8 @@ from jaxbiped.planner.polynomial import as_scalar
 
 Scalar = Float[Array, ""]
 _BISECTIONS = 40
+_SHAKEN_TIME = 0.5
+"""For how long after a touch the foot forces say little about the weight [s]."""
 
 
 class Landing(eqx.Module):
@@ -40,7 +42,7 @@ class Landing(eqx.Module):
     """Factor on delta_x, the way the plan goes in its last T_mod."""
     descent_speed: Scalar = eqx.field(converter=as_scalar, default=0.2)
     """Speed of the descent after T_s, h per control tick in the paper [m/s]."""
-    descent_acceleration: Scalar = eqx.field(converter=as_scalar, default=1.5)
+    descent_acceleration: Scalar = eqx.field(converter=as_scalar, default=3.0)
     """Acceleration of the descent's start and stop, where it is smooth [m/s2]."""
     max_descent: Scalar = eqx.field(converter=as_scalar, default=0.08)
     """Depth at which the descent stops, where it is smooth [m]."""
@@ -56,6 +58,9 @@ class Landing(eqx.Module):
     """Repair: Eqs. 6 and 7 start from the commanded, not the preplanned, velocity and acceleration."""
     keep_x: bool = eqx.field(static=True, default=True)
     """Repair: the sagittal offset is kept while the foot stands and blended out in its own next swing."""
+    stays_down: bool = eqx.field(static=True, default=True)
+    """Repair: a foot that has touched is carried along by the rest of the release, instead of being lifted off or
+    pushed down by it."""
     interpolate: bool = eqx.field(static=True, default=True)
     """Take the instant of touch from inside the tick; False: from the tick that saw it."""
 
@@ -83,6 +88,7 @@ class Landing(eqx.Module):
             "pelvis_follows",
             "commanded_velocity",
             "keep_x",
+            "stays_down",
             "interpolate",
         )
         return cls(**{name: False for name in switches}, **parameters)
@@ -111,7 +117,7 @@ class LandingState(eqx.Module):
     touch_tau: Scalar
     """Time since lift-off of the touch [s]."""
     touch: Float[Array, "3 2"]
-    """Commanded position, velocity, acceleration of the swing foot at the touch, x and z [m]."""
+    """Position, velocity, acceleration of the swing foot commanded at the touch, x and z (over `_ground`) [m]."""
     T_mod: Scalar
     """Time to set the foot down in this step [s]."""
     delta_x: Scalar
@@ -127,6 +133,12 @@ class LandingState(eqx.Module):
     def tau(self) -> Scalar:
         """Time since lift-off at the last tick [s]."""
         return self.phase.time_since_liftoff
+
+    def shaken(self, time: Scalar) -> Bool[Array, ""]:
+        """Whether a foot has just touched, or is overdue."""
+        tau = self.tau + (time - self.time)
+        overdue = ~self.touched & self.aloft & (tau > self.phase.T_s)
+        return overdue | (self.touched & (tau - self.touch_tau < _SHAKEN_TIME))
 
 
 class LandingStage(eqx.Module):
@@ -229,7 +241,8 @@ class LandingStage(eqx.Module):
 
         def swing_foot(t: Scalar) -> Float[Array, "2"]:
             plan = _taylor(nominal, t - phase.time_since_liftoff)
-            return self._pose(state, phase, plan, t).sole[phase.swing, jnp.array([0, 2])]
+            foot = self._pose(state, phase, plan, t).sole[phase.swing, jnp.array([0, 2])]
+            return foot.at[1].add(-self._ground(state, phase, t))
 
         def swing_velocity(t: Scalar) -> Float[Array, "2"]:
             return jax.jvp(swing_foot, (t,), (jnp.ones_like(t),))[1]
@@ -283,7 +296,8 @@ class LandingStage(eqx.Module):
         free = plan.sole[swing, jnp.array([0, 2])] + kept * offset[swing]
         lowered = self._lowered(state, phase, tau)
         swing_x = jnp.where(state.touched, state.touch[0, 0] + x_mod, free[0])
-        swing_z = jnp.where(state.touched, state.touch[0, 1] + z_mod, free[1] - lowered)
+        landed = state.touch[0, 1] + z_mod + self._ground(state, phase, tau)
+        swing_z = jnp.where(state.touched, landed, free[1] - lowered)
         stance_x = offset[stance, 0] * (1.0 if p.keep_x else kept)
         sole = plan.sole.at[swing, 0].set(swing_x).at[swing, 2].set(swing_z)
         sole = sole.at[stance, 0].add(stance_x).at[stance, 2].add(kept * offset[stance, 1])
@@ -293,6 +307,12 @@ class LandingStage(eqx.Module):
         """Share of the offsets that is not released yet (Eq. 16); a reflex releases nothing."""
         kept = 1.0 - smooth(tau / (self.params.release_share * phase.T_s))
         return jnp.where(phase.kind == REFLEX_STEP, 1.0, kept)
+
+    def _ground(self, state: LandingState, phase: Phase, tau: Scalar) -> Scalar:
+        """Height in the plan from which a touched foot's is counted [m]: what the stance foot stands on."""
+        if not self.params.stays_down:
+            return jnp.zeros_like(tau)
+        return self._kept(phase, tau) * state.foot_offset[1 - phase.swing, 1]
 
     def _set_down(self, state: LandingState, tau: Scalar) -> tuple[Scalar, Scalar]:
         """x_mod and z_mod (Eqs. 6 and 7)."""

@@ -9,9 +9,10 @@ The load is felt as a jump of the low-passed sum of the vertical foot forces. Th
     HOLD      the robot stands still for half the settling time (Eqs. 3.35-3.40)
     WALK      the plan goes on at the matching phase, with the new x_ref
 
-A further change of weight from SHIFT on starts the machine again from wherever the robot is. Positions are those of
-the soles in the body frame, as in the thesis; what is nominal (b_s, w_of, h_b, sway, lift, times) is read off the
-plan, so any gait will do. In the world the stance foot stands still.
+A further change of weight from SHIFT on starts the machine again from wherever the robot is. What shakes the robot
+is not taken for one: while it recovers, or a foot is being set down, a second, slower filter decides. Positions are
+those of the soles in the body frame, as in the thesis; what is nominal (b_s, w_of, h_b, sway, lift, times) is read off
+the plan, so any gait will do. In the world the stance foot stands still.
 
 Arms: `original` (Eq. 3.17, 2 s), `modified` (Eqs. 4.5, 4.6, 4 s), both to the letter of the equations but for the
 errata listed in docs/papers.md; `repaired`: every repair a switch of its own.
@@ -72,6 +73,12 @@ class PayloadReflex(eqx.Module):
     support."""
     threshold: Scalar = eqx.field(converter=as_scalar, default=25.0)
     """Change of the low-passed force that starts the reflex [N]."""
+    slow_threshold: Scalar = eqx.field(converter=as_scalar, default=25.0)
+    """The same for the slower low-pass, which decides while other things shake the robot [N]."""
+    slow_time_constant: Scalar = eqx.field(converter=as_scalar, default=1.0)
+    """Of the slower low-pass [s]."""
+    rearm_time: Scalar = eqx.field(converter=as_scalar, default=2.5)
+    """For how long after going on the slower low-pass decides [s]."""
     force_time_constant: Scalar = eqx.field(converter=as_scalar, default=FORCE_TIME_CONSTANT)
     """Of the low-pass of the summed foot force, Eq. 3.7 [s]."""
     zmp_time_constant: Scalar = eqx.field(converter=as_scalar, default=ZMP_TIME_CONSTANT)
@@ -96,9 +103,11 @@ class PayloadReflex(eqx.Module):
 
     def __check_init__(self) -> None:
         """Refuse what cannot be meant."""
-        units = {"threshold": "N"}
+        units = {"threshold": "N", "slow_threshold": "N"}
         for name in (
             "threshold",
+            "slow_threshold",
+            "slow_time_constant",
             "force_time_constant",
             "zmp_time_constant",
             "reflex_time",
@@ -139,6 +148,8 @@ class PayloadState(eqx.Module):
     """Of the last reading [s]; negative before the first."""
     force: Scalar
     """Low-passed sum of the vertical foot forces [N]."""
+    slow_force: Scalar
+    """The same, by the slower low-pass [N]."""
     zmp: Scalar
     """Low-passed ZMP forward of the pelvis [m]."""
     weight: Scalar
@@ -233,6 +244,7 @@ class PayloadStage(eqx.Module):
             mode=count + WALK,
             time=zero - 1.0,
             force=zero,
+            slow_force=zero,
             zmp=zero,
             weight=zero,
             reflexes=count,
@@ -251,13 +263,22 @@ class PayloadStage(eqx.Module):
             world_shift=zero,
         )
 
-    def step(self, state: PayloadState, gait: Gait, sensed: Sensed) -> tuple[PayloadState, Targets]:
-        """One control tick: the plan, or what stands in its place."""
+    def step(
+        self, state: PayloadState, gait: Gait, sensed: Sensed, shaken: Bool[Array, ""]
+    ) -> tuple[PayloadState, Targets]:
+        """One control tick: the plan, or what stands in its place.
+
+        Args:
+            state: of the last tick.
+            gait: the plan.
+            sensed: the sensors.
+            shaken: whether the robot is being shaken by something the controller knows of.
+        """
         state, before = self._filter(state, sensed), state
         state = self._advance(state, before, gait.timing)
         plan = self._plan_targets(state, gait, sensed.time)
         targets = self._targets(state, plan, gait.timing, sensed.time)
-        triggered, trigger_time = self._watch(state, before)
+        triggered, trigger_time = self._watch(state, before, shaken)
         reflex = self._trigger(state, targets, gait.timing, trigger_time)
         instead = self._targets(reflex, plan, gait.timing, sensed.time)
         return jax.tree.map(lambda a, b: jnp.where(triggered, a, b), (reflex, instead), (state, targets))
@@ -272,27 +293,40 @@ class PayloadStage(eqx.Module):
             return jnp.where(first, new, old + (1.0 - jnp.exp(-dt / time_constant)) * (new - old))
 
         return eqx.tree_at(
-            lambda s: (s.time, s.force, s.zmp, s.weight),
+            lambda s: (s.time, s.force, s.slow_force, s.zmp, s.weight),
             state,
             (
                 sensed.time,
                 low_pass(state.force, force, p.force_time_constant),
+                low_pass(state.slow_force, force, p.slow_time_constant),
                 low_pass(state.zmp, zmp, p.zmp_time_constant),
                 jnp.where(first, force, state.weight),
             ),
         )
 
-    def _watch(self, state: PayloadState, before: PayloadState) -> tuple[Bool[Array, ""], Scalar]:
+    def _watch(
+        self, state: PayloadState, before: PayloadState, shaken: Bool[Array, ""]
+    ) -> tuple[Bool[Array, ""], Scalar]:
         """Whether the force has left the band around the weight, and when."""
-        p = self.params
-        now = jnp.abs(state.force - state.weight) - p.threshold
-        then = jnp.abs(before.force - state.weight) - p.threshold
-        listening = (state.mode == WALK) | (state.mode >= SHIFT)
-        crossed = (then < 0.0) & (now > 0.0)
-        share = jnp.where(crossed, then / jnp.where(crossed, then - now, 1.0), 1.0)
-        share = share if p.interpolate else jnp.ones_like(share)
-        inside = jnp.where(before.time < 0.0, state.time, before.time + share * (state.time - before.time))
-        return listening & (now > 0.0), inside
+        p, walking = self.params, state.mode == WALK
+        again = state.reflexes > 0
+        calm = ~(again & (state.time - state.resume_time < p.rearm_time)) & ~shaken
+        fast, fast_time = self._crossing(state, before.force, state.force, p.threshold, before.time)
+        slow, slow_time = self._crossing(
+            state, before.slow_force, state.slow_force, p.slow_threshold, before.time
+        )
+        fast, slow = fast & walking & calm, slow & (walking | (state.mode >= SHIFT))
+        return fast | slow, jnp.where(fast, fast_time, slow_time)
+
+    def _crossing(
+        self, state: PayloadState, then: Scalar, now: Scalar, threshold: Scalar, time: Scalar
+    ) -> tuple[Bool[Array, ""], Scalar]:
+        """Whether a force that was `then` at `time` and is `now` is out of the band, and when it left it."""
+        off_then, off = (jnp.abs(force - state.weight) - threshold for force in (then, now))
+        crossed = (off_then < 0.0) & (off > 0.0)
+        share = jnp.where(crossed, off_then / jnp.where(crossed, off_then - off, 1.0), 1.0)
+        share = share if self.params.interpolate else jnp.ones_like(share)
+        return off > 0.0, jnp.where(time < 0.0, state.time, time + share * (state.time - time))
 
     def _trigger(self, state: PayloadState, targets: Targets, timing: Timing, time: Scalar) -> PayloadState:
         """Start a reflex at `time`, from the targets as they were then (their Taylor polynomial about the tick)."""
@@ -385,7 +419,8 @@ class PayloadStage(eqx.Module):
             share = share if self.params.interpolate else jnp.ones_like(share)
             zmp = before.zmp + share * (s.zmp - before.zmp)
             wanted = self.params.x_ref_gain * (zmp - self.params.zmp_balanced)
-            values = (jnp.full_like(s.mode, SHIFT), wanted, before.force + share * (s.force - before.force))
+            weight = before.slow_force + share * (s.slow_force - before.slow_force)
+            values = (jnp.full_like(s.mode, SHIFT), wanted, weight)
             return eqx.tree_at(lambda t: (t.mode, t.x_shift_new, t.weight), s, values)
 
         def resume(s: PayloadState) -> PayloadState:
@@ -401,7 +436,12 @@ class PayloadStage(eqx.Module):
                 lambda t: (t.mode, t.resume_time, t.resume_plan_time, t.world_shift, t.x_shift), s, values
             )
 
-        leave = [stay, to(SETTLE), read, to(RECOVER), to(HOLD), resume]
+        def settle(s: PayloadState) -> PayloadState:
+            """The slower low-pass starts anew, free of what was before the load."""
+            values = (jnp.full_like(s.mode, SETTLE), s.force)
+            return eqx.tree_at(lambda t: (t.mode, t.slow_force), s, values)
+
+        leave = [stay, settle, read, to(RECOVER), to(HOLD), resume]
         return jax.lax.switch(jnp.where(over, state.mode, WALK), leave, state)
 
     def _recovery(self, state: PayloadState, timing: Timing) -> _Recovery:

@@ -2,7 +2,9 @@
 
 surena3, polynomial: the paper does not state its numbers. D_s, T_s, T_d, H_max, z_max, z_min are chosen; x_s,
 x_e, y_d, y_m and the start and stop were optimised for the ZMP margin, as section 2.2 of the paper proposes.
+elkahlout, polynomial: neither source has it; chosen and optimised in the same way.
 elkahlout, cosine: section 3.2 of the thesis states them all, but for the start from and stop to rest.
+surena3, cosine: neither source has it; w and x_ref were optimised for the ZMP margin, the rest is chosen.
 """
 
 from jaxbiped.planner.checks import GaitError
@@ -58,6 +60,64 @@ def _surena3_polynomial() -> PolynomialParams:
     )
 
 
+def _elkahlout_polynomial() -> PolynomialParams:
+    """Optimised by sequential linear programming for the smallest ZMP margin of a walk of 6 steps.
+
+    With knees bent by 40 degrees or more, which leaves the reach to step 3 cm down. The pelvis is ahead of the
+    feet (x_s about 0): the centre of mass is 35 mm behind the pelvis frame, the middle of the soles 40 mm ahead
+    of the ankles. D_s leaves room between an obstacle and the other footholds.
+    """
+    return PolynomialParams(
+        D_s=0.22,
+        T_s=1.2,
+        T_d=0.6,
+        H_max=0.10,
+        x_s=0.00077,
+        x_e=0.05976,
+        y_d=0.02974,
+        y_m=-0.01110,
+        z_max=0.49,
+        z_min=0.48,
+        L_p=0.22,
+        T_ini=1.5,
+        T_end=1.5,
+        start_stop=StartStop(
+            x_rest_start=0.08513,
+            x_s_first=-0.04737,
+            x_e_first=0.06201,
+            x_s_second=-0.00071,
+            x_e_penultimate=0.05966,
+            x_s_last=-0.00267,
+            x_e_last=0.06061,
+            x_rest_end=0.01851,
+            v_first=0.06301,
+            v_last=0.12359,
+        ),
+    )
+
+
+def _surena3_cosine() -> CosineParams:
+    """Optimised by pattern search for the smallest ZMP margin of a walk of 4 steps: w and x_ref.
+
+    The body stands still in double support and moves over the whole foot in single support, so that the margin
+    falls with b_s and grows with t_ss. t_ds is as long as t_ss: with a shorter one the sway leaves a foot that
+    lands late behind, and landing adaptation falls sideways on pads of 2 cm.
+    """
+    return CosineParams(
+        t_ss=1.6,
+        t_ds=1.6,
+        b_s=0.085,
+        w=0.1687,
+        w_of=0.115,
+        h_b=0.74,
+        h_s=0.12,
+        x_ref=0.0225,
+        y_ref=0.0,
+        T_ini=1.5,
+        T_end=1.5,
+    )
+
+
 def _elkahlout_cosine() -> CosineParams:
     return CosineParams(
         t_ss=1.4,
@@ -74,5 +134,5 @@ def _elkahlout_cosine() -> CosineParams:
     )
 
 
-_POLYNOMIAL = {"surena3": _surena3_polynomial}
-_COSINE = {"elkahlout": _elkahlout_cosine}
+_POLYNOMIAL = {"surena3": _surena3_polynomial, "elkahlout": _elkahlout_polynomial}
+_COSINE = {"elkahlout": _elkahlout_cosine, "surena3": _surena3_cosine}

@@ -1,4 +1,4 @@
-"""The landing stage against the equations: golden T_mod, T*, and a tick-by-tick NumPy transcription of Eqs. 6-16.
+"""The landing stage against the equations: golden T_mod, T*, and the tick-by-tick transcription of Eqs. 6-16.
 
 No physics: a foot that is commanded to within the gap of its step's ground closes its switches.
 """
@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from landing_transcription import ALL_REPAIRS, Numbers, Plan, Readings, Repairs, commands, quintic
 
 from jaxbiped import planner, robot
 from jaxbiped.adapt import Controller, Landing, Sensed
@@ -45,7 +46,7 @@ def sole_and_pelvis(targets):
 
 @partial(jax.jit, static_argnums=2)
 def walk(controller, heights, ticks):
-    """Step the controller over ground of a height per step: what it commands, the plan, switches, and misses."""
+    """Step the controller over ground of a height per step: commands, plan, switches, phases, misses."""
 
     def tick(carry, i):
         state, before, closed_at = carry
@@ -60,7 +61,7 @@ def walk(controller, heights, ticks):
         row = (
             sole_and_pelvis(targets),
             sole_and_pelvis(planner.at(controller.gait, time)),
-            closed.any(),
+            spread,
             phase,
         )
         return (state, targets.position.sole, closed_at), row
@@ -105,17 +106,6 @@ def test_derivative_of_nominal_T_mod(x64, gait):
     assert float(slope) > 1.0
 
 
-def quintic(v, a, way, T):
-    """Coefficients of the quintic from (0, v, a) to (way, 0, 0), solved as a linear system."""
-    powers = np.arange(6)
-    end = T ** powers.astype(float)
-    rows = [end, np.r_[0, powers[1:] * T ** (powers[1:] - 1.0)]]
-    rows.append(np.r_[0, 0, (powers * (powers - 1))[2:] * T ** (powers[2:] - 2.0)])
-    fixed = np.array([0.0, v, a / 2])
-    rest = np.linalg.solve(np.array(rows)[:, 3:], np.array([way, 0, 0]) - np.array(rows)[:, :3] @ fixed)
-    return np.r_[fixed, rest]
-
-
 def test_T_star_never_undershoots_and_is_tight(x64):
     """4,000 random touches: at T* the foot never goes below the ground; a fifth longer, and nearly all do."""
     rng = np.random.default_rng(1)
@@ -127,9 +117,8 @@ def test_T_star_never_undershoots_and_is_tight(x64):
             continue
         for stretch in (1.0, 1.2):
             s = np.linspace(0, 1, 200)
-            depth = (
-                np.polynomial.polynomial.polyval(s * stretch * T, quintic(-v, a, -dz, stretch * T)).min() + dz
-            )
+            path = quintic((0.0, -v, a), (-dz, 0.0, 0.0), stretch * T)
+            depth = np.polynomial.polynomial.polyval(s * stretch * T, path).min() + dz
             if stretch == 1.0:
                 assert depth > -1e-9 * dz
             else:
@@ -199,57 +188,36 @@ def test_a_touch_that_never_comes_stops_and_is_counted(x64, gait):
     assert jump < 1.2 * np.abs(np.diff(np.asarray(plan)[:, 0], axis=0)).max()
 
 
-def transcription(plan, closed, phase, delta_x, T_mod, h):
-    """Eqs. 6-16, tick by tick as printed: rows of (left sole, right sole, pelvis)."""
-    out, T_s = np.array(plan[:, 0]), float(phase.T_s[0])
-    foot_delta, pelvis_delta, online, touch, last_step = np.zeros((2, 3)), 0.0, 0.0, None, 0
-    rows = []
-    for i in range(len(out)):
-        step, swing, tau = int(phase.step[i]), int(phase.swing[i]), float(phase.time_since_liftoff[i])
-        row = out[i].copy()
-        if step != last_step:
-            old, final = 1 - swing, rows[-1]
-            foot_delta = np.zeros((2, 3))
-            foot_delta[old] = final[old] - plan[i, 0, old]
-            pelvis_delta, online, touch, last_step = online, 0.0, None, step
-        u = np.clip(tau / T_s, 0.0, 1.0)
-        release = 1.0 - (10 * u**3 - 15 * u**4 + 6 * u**5)
-        row[1 - swing] += release * foot_delta[1 - swing]
-        row[2, 2] += release * pelvis_delta
-        if touch is None and closed[i] and tau >= 0.5 * T_s:
-            late = tau > T_s
-            start = plan[i, 0, swing].copy()
-            if late:
-                online -= h
-                start[2] += online
-            touch = (tau, start, plan[i, 1, swing], plan[i, 2, swing], 0.0 if late else delta_x[step])
-        elif touch is None and tau > T_s + 1e-9:
-            online -= h
-        if touch is None:
-            row[swing, 2] += online
-        else:
-            tau_td, start, v, a, way = touch
-            t = min(tau - tau_td, T_mod)
-            for axis, goal in ((0, way), (2, -DELTA_Z)):
-                mod = np.polynomial.polynomial.polyval(t, quintic(v[axis], a[axis], goal, T_mod))
-                row[swing, axis] = start[axis] + mod
-        row[2, 2] += online
-        rows.append(row)
-    return np.array(rows)
-
-
 @pytest.mark.parametrize("seed", range(8))
-def test_paper_arm_is_the_paper(x64, gait, seed):
-    """Random ground under every step: the stage's commands are those of the literal transcription."""
+@pytest.mark.parametrize(
+    ("arm", "repairs"),
+    [(Landing.paper, Repairs()), (Landing.repaired, ALL_REPAIRS)],
+    ids=["paper", "repaired"],
+)
+def test_random_ground_is_met_as_in_the_transcription(x64, gait, arm, repairs, seed):
+    """Random ground under every step: the stage's commands are those of the tick-by-tick transcription."""
     heights = np.random.default_rng(seed).uniform(-0.04, 0.05, N_STEPS)
-    controller = Controller(gait, landing=Landing.paper())
-    ours, plan, closed, phase, _ = jax.tree.map(
+    controller = Controller(gait, landing=arm())
+    ours, plan, switches, phase, _ = jax.tree.map(
         np.asarray, walk(controller, jnp.asarray(heights), ticks_of(gait))
     )
     stage = controller.landing
     assert stage is not None
-    theirs = transcription(plan, closed, phase, np.asarray(stage.delta_x), float(stage.T_mod), 0.2 * DT)
-    np.testing.assert_allclose(ours[:, 0], theirs, atol=1e-9)
+    p = stage.params
+    numbers = Numbers(
+        float(p.delta_z),
+        float(stage.T_mod),
+        np.asarray(stage.delta_x),
+        float(p.descent_speed),
+        float(p.descent_acceleration),
+        float(p.max_descent),
+        float(p.release_share),
+    )
+    time = DT * np.arange(len(ours))
+    T_s, T_c = float(gait.timing.T_s), float(gait.timing.T_c)
+    ticks = Plan(time, phase.step, phase.swing, phase.time_since_liftoff, plan, T_s, T_c)
+    theirs = commands(ticks, Readings(*switches), numbers, repairs)
+    np.testing.assert_allclose(ours[:, 0], theirs.pose[:, 0], rtol=0.0, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["delta_z", "T_mod", "descent_speed", "max_descent", "release_share"])

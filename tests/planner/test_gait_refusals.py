@@ -152,11 +152,11 @@ def test_first_swing(preset):
 
 def test_presets_of_unknown_robots():
     with pytest.raises(
-        GaitError, match=r"^preset gait: got robot 'elkahlout', allowed: surena3; otherwise Poly"
+        GaitError, match=r"^preset gait: got robot 'atlas', allowed: surena3, elkahlout; otherwise Poly"
     ):
-        polynomial_params("elkahlout")
+        polynomial_params("atlas")
     with pytest.raises(
-        GaitError, match=r"^preset gait: got robot 'atlas', allowed: elkahlout; otherwise Cosine"
+        GaitError, match=r"^preset gait: got robot 'atlas', allowed: elkahlout, surena3; otherwise Cosine"
     ):
         cosine_params("atlas")
 
