@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbiped.adapt.blends import quintic_to_rest, smooth
+from jaxbiped.adapt.blends import longest_time_to_rest, quintic_to_rest, smooth
 from jaxbiped.adapt.sensed import Sensed
 from jaxbiped.planner import PLANNED_STEP, REFLEX_STEP, Gait, Phase, Targets, TaskSpace, is_concrete
 from jaxbiped.planner.polynomial import as_scalar
@@ -255,7 +255,7 @@ class LandingStage(eqx.Module):
         late = tau > phase.T_s
         T_mod = self.T_mod
         if p.no_undershoot:
-            T_mod = jnp.minimum(T_mod, longest_T_mod(velocity[1], acceleration[1], p.delta_z))
+            T_mod = jnp.minimum(T_mod, longest_time_to_rest(velocity[1], acceleration[1], p.delta_z))
         in_plan = phase.kind == PLANNED_STEP
         way = jnp.where(in_plan, self.delta_x[phase.step], 0.5 * velocity[0] * T_mod)
         return eqx.tree_at(
@@ -349,18 +349,6 @@ def nominal_T_mod(gait: Gait, delta_z: Scalar) -> Scalar:
     tau = jax.lax.stop_gradient(tau)
     value, slope = jax.jvp(above, (tau,), (jnp.ones_like(tau),))
     return timing.T_s - (tau - value / jax.lax.stop_gradient(slope))
-
-
-def longest_T_mod(velocity: Scalar, acceleration: Scalar, delta_z: Scalar) -> Scalar:
-    """T*: the longest time [s] in which Eq. 6 sets a foot down by `delta_z` without going any lower on the way.
-
-    Without undershoot as long as a T^2 - 8 |v| T + 20 delta_z >= 0; infinite where that holds for every T.
-    """
-    v = jnp.maximum(-velocity, 0.0)
-    inside = 64.0 * v * v - 80.0 * acceleration * delta_z
-    safe = jnp.where(inside > 0.0, inside, 1.0)
-    limit = 40.0 * delta_z / (8.0 * v + jnp.sqrt(safe))
-    return jnp.where((inside > 0.0) & (v > 0.0), limit, jnp.inf)
 
 
 def _last_way(gait: Gait, step: Int[Array, ""], T_mod: Scalar) -> Scalar:

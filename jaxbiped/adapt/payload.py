@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbiped.adapt.blends import quintic_to_rest, smooth
+from jaxbiped.adapt.blends import longest_time_to_rest, quintic_to_rest, smooth
 from jaxbiped.adapt.sensed import Sensed
 from jaxbiped.kinematics import body
 from jaxbiped.planner import (
@@ -38,6 +38,7 @@ from jaxbiped.planner import (
     Targets,
     TaskSpace,
     Timing,
+    feasibility,
     is_concrete,
 )
 from jaxbiped.planner.polynomial import as_scalar
@@ -51,10 +52,16 @@ FORCE_TIME_CONSTANT = 0.09975
 """Of lambda = 5e-3 per tick of 0.5 ms, the thesis' force filter [s]."""
 ZMP_TIME_CONSTANT = 0.99975
 """Of lambda = 5e-4 per tick of 0.5 ms, the thesis' ZMP filter [s]."""
+SMALLEST_LOAD = 40.0
+"""Weight over which a load is to start the reflex [N]: 15 kg put on at 1.2 and 1.3 s set off the thesis' reflex after
+30.5 and 32.5 ms, when its filter has risen by 39 and 41 N."""
 X_REFLEX_ORIGINAL = ((0.01, -0.01), (0.01, -0.01), (0.01, -0.01))
 """Eq. 3.17: the left foot forward, the right one back, whatever happens."""
 X_REFLEX_MODIFIED = ((-0.01, 0.01), (0.01, -0.01), (0.0, 0.0))
 """Eqs. 4.5, 4.6: the foot on the ground towards the body."""
+X_REFLEX_NONE = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+_STEADY_SHARE = 2.4
+"""Double support of a steady recovery step over its single support: time to get over the stance foot and back."""
 _SMALLEST_STEP = 0.02
 """f below which a steady recovery makes no step."""
 
@@ -71,9 +78,9 @@ class PayloadReflex(eqx.Module):
     x_reflex: Float[Array, "3 2"] = eqx.field(converter=_table, default=X_REFLEX_MODIFIED)
     """How far the reflex moves (left, right) foot forward [m]; rows: left foot swings, right foot swings, double
     support."""
-    threshold: Scalar = eqx.field(converter=as_scalar, default=25.0)
-    """Change of the low-passed force that starts the reflex [N]."""
-    slow_threshold: Scalar = eqx.field(converter=as_scalar, default=25.0)
+    threshold: Scalar = eqx.field(converter=as_scalar, default=SMALLEST_LOAD)
+    """Change of the low-passed force that starts the reflex [N]; the named arms add what the plan itself causes."""
+    slow_threshold: Scalar = eqx.field(converter=as_scalar, default=SMALLEST_LOAD)
     """The same for the slower low-pass, which decides while other things shake the robot [N]."""
     slow_time_constant: Scalar = eqx.field(converter=as_scalar, default=1.0)
     """Of the slower low-pass [s]."""
@@ -83,8 +90,12 @@ class PayloadReflex(eqx.Module):
     """Of the low-pass of the summed foot force, Eq. 3.7 [s]."""
     zmp_time_constant: Scalar = eqx.field(converter=as_scalar, default=ZMP_TIME_CONSTANT)
     """Of the low-pass of the ZMP, Eq. 3.18 [s]."""
+    x_stand: Scalar | None = None
+    """Sole forward of the pelvis on which a steady recovery stands alone [m]; None: wherever it is."""
     reflex_time: Scalar = eqx.field(converter=as_scalar, default=0.1)
     """t_refl_per [s]."""
+    body_time: Scalar = eqx.field(converter=as_scalar, default=1.2)
+    """Longest time in which a smooth reflex brings the body sideways to the middle [s]."""
     settling_time: Scalar = eqx.field(converter=as_scalar, default=4.0)
     """t_set_t [s]."""
     shift_time: Scalar = eqx.field(converter=as_scalar, default=0.5)
@@ -92,7 +103,8 @@ class PayloadReflex(eqx.Module):
     x_ref_gain: Scalar = eqx.field(converter=as_scalar, default=1.0)
     """Share of the measured ZMP error by which x_ref is shifted."""
     smooth_reflex: bool = eqx.field(static=True, default=True)
-    """Repair: the reflex takes over velocity and acceleration instead of starting with a velocity step."""
+    """Repair: the reflex takes over velocity and acceleration instead of starting with a velocity step, and the body,
+    which cannot be pulled off its stance foot as fast as the other one is set down, has `body_time` to follow."""
     steady_recovery: bool = eqx.field(static=True, default=True)
     """Repair: the recovery step takes a whole T_s, with the body over the stance foot, and the body advances after it
     instead of during it."""
@@ -111,6 +123,7 @@ class PayloadReflex(eqx.Module):
             "force_time_constant",
             "zmp_time_constant",
             "reflex_time",
+            "body_time",
             "settling_time",
             "shift_time",
         ):
@@ -130,13 +143,19 @@ class PayloadReflex(eqx.Module):
 
     @classmethod
     def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """The modified one with every repair."""
-        return cls(**{"zmp_balanced": standing_zmp(robot, gait), **parameters})
+        """With every repair; the feet stay where they are or come down."""
+        of_plan = _of_plan(robot, gait)
+        ours = {
+            "x_reflex": X_REFLEX_NONE,
+            "x_stand": of_plan["zmp_balanced"] - robot.p_sole_corner[..., 0].mean(),
+            "reflex_time": 0.5,
+        }
+        return cls(**{**of_plan, **ours, **parameters})
 
     @classmethod
     def _literal(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
         switches = {name: False for name in ("smooth_reflex", "steady_recovery", "smooth_resume")}
-        return cls(**{"zmp_balanced": standing_zmp(robot, gait), **switches, **parameters})
+        return cls(**{**_of_plan(robot, gait), **switches, **parameters})
 
 
 class PayloadState(eqx.Module):
@@ -453,7 +472,7 @@ class PayloadStage(eqx.Module):
         if self.params.steady_recovery:
             steps = jnp.where(f > _SMALLEST_STEP, 1.0, 0.0)
             half_distance = 0.5 * (goal[LEFT, 1] - goal[RIGHT, 1])
-            return _Recovery(swing, f, T_s, 1.2 * T_s, steps * half_distance, steps * self.lift, goal)
+            return _Recovery(swing, f, T_s, _STEADY_SHARE * T_s, steps * half_distance, steps * self.lift, goal)
         t_ss = T_s * jnp.arccos(f) / jnp.pi
         return _Recovery(swing, f, t_ss, T_d / T_s * t_ss, self.sway * f, self.lift * f, goal)
 
@@ -522,11 +541,24 @@ class PayloadStage(eqx.Module):
         """Soles in the body frame up to the end of SHIFT (Eqs. 3.11-3.17 and 3.21)."""
         T, way = self.params.reflex_time, state.end - state.start[0]
         if self.params.smooth_reflex:
+            T = jnp.stack([T, self._body_time(state), T])
             moved = quintic_to_rest(since, T, state.start[1], state.start[2], way)
         else:
             moved = jnp.clip(since / T, 0.0, 1.0) * way
         shift = self._applied_shift(state, time) - state.x_shift
         return (state.start[0] + moved).at[:, 0].add(shift)
+
+    def _body_time(self, state: PayloadState) -> Scalar:
+        """Time in which the body gets to the middle [s].
+
+        Not so long that it swings beyond it; half as long if both feet are there to stop it.
+        """
+        p, way = self.params, (state.end - state.start[0])[LEFT, 1]
+        towards = jnp.where(way >= 0.0, -1.0, 1.0)
+        velocity, acceleration = towards * state.start[1, LEFT, 1], towards * state.start[2, LEFT, 1]
+        longest = jnp.where(state.support == DOUBLE_SUPPORT, 0.5, 1.0) * p.body_time
+        without_overshoot = longest_time_to_rest(velocity, acceleration, jnp.abs(way))
+        return jnp.maximum(jnp.minimum(without_overshoot, longest), p.reflex_time)
 
     def _recovery_pose(self, state: PayloadState, step: _Recovery, time: Scalar) -> Float[Array, "2 3"]:
         """Soles in the body frame in RECOVER and HOLD (Eqs. 3.26-3.40)."""
@@ -535,26 +567,38 @@ class PayloadStage(eqx.Module):
         aloft = jnp.clip((since - 0.5 * step.t_ds) / step.t_ss, 0.0, 1.0)
         wave = jnp.clip(since / (step.t_ss + step.t_ds), 0.0, 1.0)
         foot = 0.5 * (1.0 - jnp.cos(jnp.pi * aloft))
-        pelvis = foot
-        if p.steady_recovery:
-            after = (since - 0.5 * step.t_ds - step.t_ss) / (0.5 * step.t_ds)
-            pelvis = smooth(after)
         way, swing = step.goal[:, 0] - state.end[:, 0], step.swing
-        forward = jnp.full_like(way, way[1 - swing]) * pelvis
-        forward = forward.at[swing].add((way[swing] - way[1 - swing]) * foot)
+        body = way[1 - swing] * foot
+        if p.steady_recovery:
+            begun = smooth(since / (0.5 * step.t_ds))
+            ended = smooth((since - 0.5 * step.t_ds - step.t_ss) / (0.5 * step.t_ds))
+            body = self._to_stand(state, step) * (begun - ended) + way[1 - swing] * ended
+        forward = jnp.full_like(way, body).at[swing].add((way[swing] - way[1 - swing]) * foot)
         aside = jnp.where(swing == LEFT, 1.0, -1.0) * 0.5 * step.sway * (1.0 - jnp.cos(2.0 * jnp.pi * wave))
         up = 0.5 * step.lift * (1.0 - jnp.cos(2.0 * jnp.pi * aloft))
         sole = state.end.at[:, 0].add(forward + state.x_shift_new - state.x_shift)
         return sole.at[:, 1].add(aside).at[swing, 2].add(up)
 
+    def _to_stand(self, state: PayloadState, step: _Recovery) -> Scalar:
+        """How far forward the stance foot goes in the body frame before the other one lifts off [m]."""
+        if self.params.x_stand is None:
+            return jnp.zeros_like(step.f)
+        from_here = self.params.x_stand + state.x_shift - state.end[1 - step.swing, 0]
+        return jnp.where(step.lift > 0.0, from_here, 0.0)
+
     def _feed_forward_time(self, state: PayloadState, timing: Timing, time: Scalar) -> Scalar:
         """Plan time whose joint torques suit the pose outside WALK: both feet loaded, or the step of the same foot."""
-        step, ends = self._recovery(state, timing), self._ends(state, timing)
+        p, step, start = self.params, self._recovery(state, timing), self._ends(state, timing)[SHIFT]
         before = self.resume_plan_time[jnp.maximum(state.next_step - 1, 0)]
         after = self.resume_plan_time[state.next_step]
-        down = jnp.clip((time - state.trigger_time) / self.params.reflex_time, 0.0, 1.0)
-        on = jnp.clip((time - ends[SHIFT]) / (step.t_ss + step.t_ds), 0.0, 1.0)
-        return (1.0 - down) * state.trigger_plan_time + down * (before + on * (after - before))
+        to_rest = self._body_time(state) if p.smooth_reflex else p.reflex_time
+        down = jnp.clip((time - state.trigger_time) / to_rest, 0.0, 1.0)
+        liftoff = jnp.minimum(timing.liftoff(jnp.maximum(state.next_step - 1, 0)), after)
+        touchdown = jnp.minimum(liftoff + timing.T_s, after)
+        half = 0.5 * step.t_ds
+        knots = start + jnp.stack([jnp.zeros_like(half), half, half + step.t_ss, step.t_ss + step.t_ds])
+        recovering = jnp.interp(time, knots, jnp.stack([before, liftoff, touchdown, after]))
+        return (1.0 - down) * state.trigger_plan_time + down * recovering
 
     def _phase(self, state: PayloadState, plan: Targets, timing: Timing, time: Scalar) -> Phase:
         """Phase of the plan, of the reflex, or of the recovery step, which lasts until the plan's next lift-off."""
@@ -607,6 +651,21 @@ def resume_plan_times(gait: Gait) -> Float[Array, " n"]:
     timing = gait.timing
     middle = timing.liftoff(jnp.arange(1, timing.n_steps)) - 0.5 * (timing.T_c - timing.T_s)
     return jnp.concatenate([jnp.zeros((1,), middle.dtype), middle, gait.duration[None]])
+
+
+def _of_plan(robot: RobotParams, gait: Gait) -> dict[str, Scalar]:
+    """What a robot and its plan say about the parameters."""
+    return {
+        "zmp_balanced": standing_zmp(robot, gait),
+        "threshold": SMALLEST_LOAD + planned_ripple(robot, gait),
+    }
+
+
+def planned_ripple(robot: RobotParams, gait: Gait, samples_per_step: int = 60) -> Scalar:
+    """Greatest deviation of the plan's vertical ground force from the weight [N]: no sign of a load."""
+    times = jnp.linspace(0.0, gait.duration, samples_per_step * (gait.timing.n_steps + 2))
+    force = feasibility(robot, gait, times).ground_force[:, 2]
+    return jnp.abs(force - force[0]).max()
 
 
 def standing_zmp(robot: RobotParams, gait: Gait) -> Scalar:

@@ -64,9 +64,10 @@ class Repairs(NamedTuple):
     commanded_velocity: bool = False
     keep_x: bool = False
     interpolate: bool = False
+    stays_down: bool = False
 
 
-ALL_REPAIRS = Repairs(*[True] * 6)
+ALL_REPAIRS = Repairs(*[True] * 7)
 
 
 class Commands(NamedTuple):
@@ -174,6 +175,9 @@ def commands(plan: Plan, readings: Readings, numbers: Numbers, repairs: Repairs)
     any_closed = np.asarray(readings.closed.any(axis=2)).tolist()
     steps, swings, taus = plan.step.tolist(), plan.swing.tolist(), plan.tau.tolist()
 
+    def kept(t: float) -> Triple:
+        return (1.0, 0.0, 0.0) if t < 0.0 else at(release, t) if t < release_time else (0.0, 0.0, 0.0)
+
     def fresh() -> Descent:
         return Descent(numbers, repairs.smooth_descent, T_s, T_c)
 
@@ -193,6 +197,8 @@ def commands(plan: Plan, readings: Readings, numbers: Numbers, repairs: Repairs)
                 (x, z), t, late = touch, T_c - touches[last], touches[last] > T_s
                 new_x = x.start[0] + x.mod(t)[0] - plan.pose[i, 0, landed, 0]
                 new_z = z.start[0] + z.mod(t)[0] - plan.pose[i, 0, landed, 2]
+                if repairs.stays_down:
+                    new_z += kept(T_c)[0] * dz[1 - landed]
                 follow = z.mod(t)[0] if repairs.pelvis_follows else 0.0
                 new_pelvis = follow - lowered_at_touch if late else 0.0
             dx = [dx[0], dx[1]] if repairs.keep_x else [0.0, 0.0]
@@ -200,9 +206,6 @@ def commands(plan: Plan, readings: Readings, numbers: Numbers, repairs: Repairs)
             dz = [0.0, 0.0]
             dz[landed], dpelvis = new_z, new_pelvis
             descent, touch, lowered_at_touch, last = fresh(), None, 0.0, step
-
-        def kept(t: float) -> Triple:
-            return (1.0, 0.0, 0.0) if t < 0.0 else at(release, t) if t < release_time else (0.0, 0.0, 0.0)
 
         # Watch the swing foot from the midpoint of SSP until the end of DSP (first time-table of Fig. 4).
         if touch is None and 0.5 * T_s <= tau <= T_c and any_closed[i][swing]:
@@ -224,6 +227,15 @@ def commands(plan: Plan, readings: Readings, numbers: Numbers, repairs: Repairs)
             if repairs.commanded_velocity:
                 start_x = (start_x[0], x[1] + fade[1] * dx[swing], x[2] + fade[2] * dx[swing])
                 start_z = (start_z[0], z[1] - sunk[1], z[2] - sunk[2])
+            if repairs.stays_down:
+                # Heights count from what the stance foot stands on, which Eq. 16 is still moving.
+                start_z = (start_z[0] - fade[0] * dz[stance], *start_z[1:])
+                if repairs.commanded_velocity:
+                    start_z = (
+                        start_z[0],
+                        start_z[1] - fade[1] * dz[stance],
+                        start_z[2] - fade[2] * dz[stance],
+                    )
             T_mod = numbers.T_mod
             if repairs.no_undershoot:
                 T_mod = min(T_mod, longest_T_mod(start_z[1], start_z[2], numbers.delta_z))
@@ -246,6 +258,8 @@ def commands(plan: Plan, readings: Readings, numbers: Numbers, repairs: Repairs)
             now[:, swing, 0], now[:, swing, 2] = x_mod, z_mod
             now[0, swing, 0] += touch[0].start[0]
             now[0, swing, 2] += touch[1].start[0]
+            if repairs.stays_down:
+                now[:, swing, 2] += np.array(fade) * dz[stance]
             for k in range(3):
                 follow = z_mod[k] if late and repairs.pelvis_follows else 0.0
                 now[k, PELVIS, 2] += fade[k] * dpelvis + follow

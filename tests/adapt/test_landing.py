@@ -13,7 +13,8 @@ from landing_transcription import ALL_REPAIRS, Numbers, Plan, Readings, Repairs,
 
 from jaxbiped import planner, robot
 from jaxbiped.adapt import Controller, Landing, Sensed
-from jaxbiped.adapt.landing import longest_T_mod, nominal_T_mod
+from jaxbiped.adapt.blends import longest_time_to_rest
+from jaxbiped.adapt.landing import nominal_T_mod
 
 DT = 0.002
 N_STEPS = 6
@@ -111,7 +112,7 @@ def test_T_star_never_undershoots_and_is_tight(x64):
     rng = np.random.default_rng(1)
     beyond = []
     for v, a, dz in rng.uniform((0.02, -3.0, 0.003), (0.6, 6.0, 0.03), (4000, 3)):
-        T = float(longest_T_mod(*map(jnp.asarray, (-v, a, dz))))
+        T = float(longest_time_to_rest(*map(jnp.asarray, (-v, a, dz))))
         if not np.isfinite(T):
             assert 64 * v * v < 80 * a * dz
             continue
@@ -166,13 +167,14 @@ def test_hole_is_reached_with_the_pelvis_following(x64, gait, arm, depth):
 
 
 def test_repaired_commands_are_smooth(x64, gait):
-    """C2 but for the instants of touch: no jump between ticks beyond what velocity and acceleration explain."""
+    """C1 everywhere: between ticks no more than velocity and steps of the descent's acceleration explain."""
     heights = heights_of(step1=0.03, step2=-0.03, step4=0.02)
     ours, *_ = walk(Controller(gait, landing=Landing.repaired()), heights, ticks_of(gait))
     p, v, a = np.moveaxis(np.asarray(ours), 1, 0)
     predicted = p[:-1] + DT * v[:-1] + 0.5 * DT**2 * a[:-1]
-    assert np.abs(p[1:] - predicted).max() < 2e-6
-    assert np.abs(v[1:] - v[:-1] - DT * a[:-1]).max() < 4e-3
+    step = float(Landing().descent_acceleration)
+    assert np.abs(p[1:] - predicted).max() < 0.5 * step * DT**2
+    assert np.abs(v[1:] - v[:-1] - DT * a[:-1]).max() < 1.5 * step * DT
 
 
 def test_a_touch_that_never_comes_stops_and_is_counted(x64, gait):
