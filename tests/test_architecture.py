@@ -23,6 +23,7 @@ LEFT_OF: dict[str, set[str]] = {
     "tune": {"robot", "kinematics", "planner", "adapt", "sim", "score"},
     "batch": {"robot", "kinematics", "planner", "adapt", "sim", "score"},
     "report": {"robot", "kinematics", "planner", "adapt", "sim", "score", "batch"},
+    "commands": {"robot", "kinematics", "planner", "adapt", "sim", "score", "tune", "batch", "report"},
 }
 DOORS = {"__init__", "__main__", "cli"}  # the package's own front: may import any room
 MAY_IMPORT_MUJOCO = {"sim", "report"}
@@ -182,6 +183,8 @@ def test_checker_lets_the_right_way_pass(module, source):
         ("jaxbiped.tune.optimise", "from jaxbiped import batch", "tune imports batch"),
         ("jaxbiped.batch.run", "from jaxbiped import tune", "batch imports tune"),
         ("jaxbiped.report.page", "from jaxbiped.cli import main", "report imports cli"),
+        ("jaxbiped.report.page", "from jaxbiped.commands import walk", "report imports commands"),
+        ("jaxbiped.commands.walk", "from jaxbiped.cli import main", "commands imports cli"),
         ("jaxbiped._versions", "from jaxbiped import sim", "_versions imports sim"),
         ("jaxbiped.planner.zmp", "import mujoco", "planner imports mujoco"),
         ("jaxbiped.score.judge", "from mujoco import mjx", "score imports mujoco"),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jaxbiped import cli, planner, robot
+from jaxbiped.commands import demo
 
 FIGURES = {
     "khadiv_fig6_feet.png",
@@ -155,11 +156,13 @@ def test_folder_without_write_permission_is_refused(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("args", "says"),
     [
-        ((), ("demo", "export")),
-        (("dance",), ("dance", "demo, export")),
+        ((), ("demo", "walk", "export")),
+        (("dance",), ("dance", "demo", "export", "walk")),
         (("demo", "--speed", "3"), ("--speed",)),
         (("demo", "--out"), ("--out",)),
         (("export", "--robot", "surena3"), ("--out", "required")),
+        (("walk",), ("--robot", "required")),
+        (("walk", "--robot", "surena3", "--steps", "two"), ("--steps", "two")),
     ],
 )
 def test_wrong_arguments_are_refused_in_one_line(capsys, args, says):
@@ -167,7 +170,7 @@ def test_wrong_arguments_are_refused_in_one_line(capsys, args, says):
     assert all(word in line for word in says), line
 
 
-@pytest.mark.parametrize("args", [("--help",), ("demo", "--help"), ("export", "--help")])
+@pytest.mark.parametrize("args", [("--help",), ("demo", "--help"), ("walk", "--help"), ("export", "--help")])
 def test_help_is_no_error(capsys, args):
     assert cli.main([*args]) == cli.OK
     said, complained = capsys.readouterr()
@@ -178,7 +181,7 @@ def test_without_matplotlib_the_demo_says_what_to_install(capsys, monkeypatch, t
     def missing():
         raise ImportError("figures need matplotlib: pip install 'jaxbiped[viz]'")
 
-    monkeypatch.setattr(cli, "_figures", missing)
+    monkeypatch.setattr(demo, "figures_module", missing)
     assert cli.main(["demo", "--out", str(tmp_path)]) == cli.FAILED
     assert capsys.readouterr().err == "jaxbiped: figures need matplotlib: pip install 'jaxbiped[viz]'\n"
 
@@ -198,8 +201,8 @@ def test_installed_command_gives_the_exit_code():
 
 def test_drawn_cycle_is_one_of_the_thesis():
     """It runs over the thesis' time, 0 to 2 (t_ss + t_ds), and closes in the body frame."""
-    gait = planner.CosineGait.preset(robot.load("elkahlout"), cli.N_STEPS)
-    time, targets = cli._cycle(gait)
+    gait = planner.CosineGait.preset(robot.load("elkahlout"), demo.N_STEPS)
+    time, targets = demo._cycle(gait)
     assert time[0] == 0.0 and time[-1] == pytest.approx(4.8)
     in_body = targets.position.sole - targets.position.pelvis[:, None]
     np.testing.assert_allclose(in_body[0], in_body[-1], atol=1e-6)

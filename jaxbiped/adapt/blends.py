@@ -12,7 +12,7 @@ def smooth(u: Scalar) -> Scalar:
     return u * u * u * (10.0 + u * (6.0 * u - 15.0))
 
 
-def quintic_to_rest(t: Scalar, T: Scalar, v: Array, a: Array, way: Array) -> Array:
+def quintic_to_rest(t: Scalar, T: Array, v: Array, a: Array, way: Array) -> Array:
     """From (0, v, a) at t = 0 to (way, 0, 0) at T, held there (khadiv Eqs. 6 and 7)."""
     r = jnp.minimum(t / T, 1.0)  # not clipped at 0: there the velocity must be v, not half of it
     r2 = r * r

@@ -219,7 +219,7 @@ class _Recovery(eqx.Module):
     lift: Scalar
     """How high the swing foot goes [m]."""
     goal: Float[Array, "2 3"]
-    """Soles in the body frame at the end, but for the shift of x_ref [m]."""
+    """Soles in the body frame at the end, but for the new shift of x_ref [m]."""
 
 
 class PayloadStage(eqx.Module):
@@ -466,13 +466,16 @@ class PayloadStage(eqx.Module):
     def _recovery(self, state: PayloadState, timing: Timing) -> _Recovery:
         """Eqs. 3.22-3.25; Eq. 3.23 by the step length that is missing, its half in the symmetric stance."""
         T_s, T_d = timing.T_s, timing.T_c - timing.T_s
-        goal, swing = self.stance[state.next_step], _foot_ahead(state.end[:, 0])
+        goal = self.stance[state.next_step].at[:, 0].add(state.x_shift)
+        swing = _foot_ahead(state.end[:, 0])
         missing = (goal[swing, 0] - state.end[swing, 0]) - (goal[1 - swing, 0] - state.end[1 - swing, 0])
         f = jnp.minimum(0.5 * jnp.abs(missing) / self.stride, 0.999)
         if self.params.steady_recovery:
             steps = jnp.where(f > _SMALLEST_STEP, 1.0, 0.0)
             half_distance = 0.5 * (goal[LEFT, 1] - goal[RIGHT, 1])
-            return _Recovery(swing, f, T_s, _STEADY_SHARE * T_s, steps * half_distance, steps * self.lift, goal)
+            return _Recovery(
+                swing, f, T_s, _STEADY_SHARE * T_s, steps * half_distance, steps * self.lift, goal
+            )
         t_ss = T_s * jnp.arccos(f) / jnp.pi
         return _Recovery(swing, f, t_ss, T_d / T_s * t_ss, self.sway * f, self.lift * f, goal)
 
@@ -606,7 +609,7 @@ class PayloadStage(eqx.Module):
         since = time - state.trigger_time
         falling = (state.mode == REFLEX) & (state.support == SINGLE_SUPPORT)
         reflex = Phase(
-            step=plan.phase.step,
+            step=jnp.maximum(state.next_step - 1, 0),
             swing=state.swing,
             support=jnp.where(falling, SINGLE_SUPPORT, DOUBLE_SUPPORT),
             time_in_phase=jnp.where(state.mode == REFLEX, since, time - ends[REFLEX]),

@@ -58,11 +58,11 @@ class Timing(eqx.Module):
     first_swing: int = eqx.field(static=True)
     """The foot that swings first, 0 left or 1 right."""
 
-    def liftoff(self, step: int | Int[Array, ""]) -> Float[Array, ""]:
+    def liftoff(self, step: int | Int[Array, "*n"]) -> Float[Array, "*n"]:
         """Lift-off of a step [s]."""
         return self.first_liftoff + step * self.T_c
 
-    def touchdown(self, step: int | Int[Array, ""]) -> Float[Array, ""]:
+    def touchdown(self, step: int | Int[Array, "*n"]) -> Float[Array, "*n"]:
         """Planned touchdown of a step [s]."""
         return self.liftoff(step) + self.T_s
 

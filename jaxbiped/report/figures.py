@@ -4,7 +4,7 @@ Every function takes what a planner gives, sampled over time (a leading axis), a
 Figure. No pyplot: nothing global is touched.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +22,23 @@ except ImportError as error:
 DPI = 120
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 """Colors of Okabe and Ito (2008), which the color-blind can tell apart."""
+EVENT_COLORS = (PURPLE, GREEN, "#333333")
+"""Of marked times, kind by kind."""
 SIDE_COLORS = (BLUE, ORANGE)
 SIDE_DASHES = ("-", (0, (5, 1.6)))
 INK, FAINT = "#333333", "#8a8a8a"
 SINGLE_SUPPORT_SHADE = "#e9edf2"
 SUPPORT_FILL = "#cfe8df"
+MEASURED = "measured"
+LEGEND_WIDTH = 122
+"""Widest row of a legend, in letters; a handle counts as eight."""
 SHADE_LABEL = "single support (white: double)"
 _AXIS_WORDS = ("forward, x", "lateral (left), y", "up, z")
 
 
-def feet(time: Any, task: TaskSpace, phase: Phase, title: str = "Feet") -> Figure:
+def feet(
+    time: Any, task: TaskSpace, phase: Phase, title: str = "Feet", measured: TaskSpace | None = None
+) -> Figure:
     """Draw both soles' x, y and z in the world over time (khadiv Fig. 6).
 
     Args:
@@ -39,27 +46,43 @@ def feet(time: Any, task: TaskSpace, phase: Phase, title: str = "Feet") -> Figur
         task: soles in the world with a leading axis n [m].
         phase: phases with a leading axis n.
         title: heading of the figure.
+        measured: where the soles really were, to be drawn over the plan or the commands.
     """
     figure, panels = _panels(3, title, phase.support, time)
-    _draw_feet(panels, time, np.asarray(task.sole))
+    draw_feet(panels, time, np.asarray(task.sole))
+    if measured is not None:
+        for axis, axes in enumerate(panels):
+            for side in range(2):
+                label = MEASURED if side == 0 else f"_{MEASURED}"
+                _draw_measured(axes, time, np.asarray(measured.sole)[:, side, axis], label)
     return _finish(figure, panels)
 
 
-def feet_in_body(time: Any, task: TaskSpace, phase: Phase, title: str = "Feet in the body frame") -> Figure:
-    """Draw both soles' x, y and z relative to the pelvis over time (elkahlout Fig. 3.2).
+def feet_in_body(
+    time: Any,
+    task: TaskSpace,
+    phase: Phase,
+    title: str = "Feet in the body frame",
+    events: Mapping[str, Sequence[float]] | None = None,
+) -> Figure:
+    """Draw both soles' x, y and z relative to the pelvis over time (elkahlout Figs. 3.2, 3.9 and 4.3).
 
     Args:
         time: (n,), usually one cycle [s].
         task: soles and pelvis in the world with a leading axis n [m].
         phase: phases with a leading axis n.
         title: heading of the figure.
+        events: times to mark [s] by what happened then.
     """
     figure, panels = _panels(3, title, phase.support, time)
-    _draw_feet(panels, time, np.asarray(task.sole) - np.asarray(task.pelvis)[:, None])
+    draw_feet(panels, time, np.asarray(task.sole) - np.asarray(task.pelvis)[:, None])
+    mark_events(panels, events or {})
     return _finish(figure, panels)
 
 
-def pelvis(time: Any, task: TaskSpace, phase: Phase, title: str = "Pelvis") -> Figure:
+def pelvis(
+    time: Any, task: TaskSpace, phase: Phase, title: str = "Pelvis", measured: TaskSpace | None = None
+) -> Figure:
     """Draw the pelvis' x, y and z in the world over time (khadiv Fig. 7).
 
     Args:
@@ -67,10 +90,13 @@ def pelvis(time: Any, task: TaskSpace, phase: Phase, title: str = "Pelvis") -> F
         task: pelvis in the world with a leading axis n [m].
         phase: phases with a leading axis n.
         title: heading of the figure.
+        measured: where the pelvis really was, to be drawn over the plan or the commands.
     """
     figure, panels = _panels(3, title, phase.support, time)
     for axis, axes in enumerate(panels):
         axes.plot(time, np.asarray(task.pelvis)[:, axis], color=BLUE, label="pelvis")
+        if measured is not None:
+            _draw_measured(axes, time, np.asarray(measured.pelvis)[:, axis], MEASURED)
         axes.set_ylabel(f"{_AXIS_WORDS[axis]} [m]")
     return _finish(figure, panels)
 
@@ -122,7 +148,7 @@ def feasibility_page(report: Feasibility, phase: Phase, title: str = "Feasibilit
 
 
 def panels_over_time(
-    rows: int, title: str, support: Any, time: Any, height: float
+    rows: int, title: str, support: Any, time: Any, height: float, share_time: bool = True
 ) -> tuple[Sequence[Axes], Callable[[], Figure]]:
     """Panels over one another with a common time axis, single support shaded, and a call that finishes the figure.
 
@@ -132,9 +158,29 @@ def panels_over_time(
         support: (n,) SINGLE_SUPPORT or DOUBLE_SUPPORT.
         time: (n,) [s].
         height: of the figure [inch].
+        share_time: whether all panels show the same time.
     """
-    figure, panels = _panels(rows, title, support, time, height)
+    figure, panels = _panels(rows, title, support, time, height, share_time)
     return panels, lambda: _finish(figure, panels)
+
+
+def mark_events(panels: Sequence[Axes], events: Mapping[str, Sequence[float]]) -> None:
+    """Mark times [s] by vertical lines, a style for each kind; the legend stands over the last panel."""
+    styles = zip(EVENT_COLORS, ("--", "-", ":"), strict=True)
+    for (label, times), (color, dashes) in zip(events.items(), styles, strict=False):
+        for axes in panels:
+            for i, time in enumerate(times):
+                shown = label if i == 0 and axes is panels[-1] else f"_{label}"
+                axes.axvline(time, color=color, ls=dashes, lw=1.1, label=shown, zorder=1.5)
+
+
+def dress(axes: Axes) -> None:
+    """Grid, frame and ticks of every panel."""
+    axes.grid(True, color="#c9ced6", lw=0.5, alpha=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(FAINT)
+    axes.tick_params(colors=INK, labelsize=9)
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -145,19 +191,20 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def _panels(
-    rows: int, title: str, support: Any, time: Any, height: float = 7.2
+    rows: int, title: str, support: Any, time: Any, height: float = 7.2, share_time: bool = True
 ) -> tuple[Figure, Sequence[Axes]]:
     """Panels over one another with a common time axis, single support shaded."""
     figure = Figure(figsize=(9.0, height), dpi=DPI, layout="constrained", facecolor="white")
-    grid = figure.subplots(rows, 1, sharex=True, squeeze=False)
+    grid = figure.subplots(rows, 1, sharex=share_time, squeeze=False)
     panels = list(grid[:, 0])
     figure.suptitle(title, fontsize=12, color=INK)
     edges = _sample_edges(np.asarray(time))
     for axes in panels:
-        _dress(axes)
+        dress(axes)
         _shade_single_support(axes, edges, np.asarray(support))
     panels[-1].set_xlabel("time [s]")
-    panels[0].set_xlim(float(edges[0]), float(edges[-1]))
+    for axes in panels:
+        axes.set_xlim(float(edges[0]), float(edges[-1]))
     return figure, panels
 
 
@@ -165,14 +212,6 @@ def _sample_edges(time: np.ndarray) -> np.ndarray:
     """The n + 1 borders between n samples, the outer ones half a sample beyond the first and the last."""
     middles = 0.5 * (time[1:] + time[:-1])
     return np.concatenate([[1.5 * time[0] - 0.5 * time[1]], middles, [1.5 * time[-1] - 0.5 * time[-2]]])
-
-
-def _dress(axes: Axes) -> None:
-    axes.grid(True, color="#c9ced6", lw=0.5, alpha=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(FAINT)
-    axes.tick_params(colors=INK, labelsize=9)
 
 
 def _shade_single_support(axes: Axes, edges: np.ndarray, support: np.ndarray) -> None:
@@ -184,7 +223,8 @@ def _shade_single_support(axes: Axes, edges: np.ndarray, support: np.ndarray) ->
         axes.axvspan(start, end, color=SINGLE_SUPPORT_SHADE, lw=0, zorder=0, label=label)
 
 
-def _draw_feet(panels: Sequence[Axes], time: Any, sole: np.ndarray) -> None:
+def draw_feet(panels: Sequence[Axes], time: Any, sole: np.ndarray) -> None:
+    """Draw x, y and z of both soles (n, 2, 3), a panel each [m]."""
     for axis, axes in enumerate(panels):
         for side, name in enumerate(SIDE_NAMES):
             axes.plot(
@@ -195,6 +235,10 @@ def _draw_feet(panels: Sequence[Axes], time: Any, sole: np.ndarray) -> None:
                 label=f"{name} foot",
             )
         axes.set_ylabel(f"{_AXIS_WORDS[axis]} [m]")
+
+
+def _draw_measured(axes: Axes, time: Any, values: np.ndarray, label: str) -> None:
+    axes.plot(time, values, color=INK, lw=0.8, label=label)
 
 
 def _draw_worst(axes: Axes, time: np.ndarray, values: np.ndarray, label: str, worst: Any, word: str) -> None:
@@ -221,12 +265,14 @@ def _finish(figure: Figure, panels: Sequence[Axes]) -> Figure:
 
 
 def _legend_above(axes: Axes, handles: Sequence, labels: Sequence[str]) -> None:
+    """One row, or two where one would be wider than the figure."""
+    width = sum(len(label) + 8 for label in labels)
     axes.legend(
         handles,
         labels,
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
-        ncols=len(labels),
+        ncols=len(labels) if width <= LEGEND_WIDTH else -(-len(labels) // 2),
         frameon=False,
         fontsize=9,
         labelcolor=INK,

@@ -1,6 +1,6 @@
 """Figures of simulated walks, laid over each other: trunk tilt, foot forces, measured ZMP, what adaptation did."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,20 +15,31 @@ from jaxbiped.report.figures import (
     PURPLE,
     SIDE_COLORS,
     SIDE_DASHES,
+    mark_events,
     panels_over_time,
 )
 from jaxbiped.robot import SIDE_NAMES
+from jaxbiped.score import touches, walked_rows
 
+TOUCH_LABEL = "touch"
+LEAST_SHOWN = 1.0
+"""Modifications smaller than this do not fill a panel [mm]."""
 LINE_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK)
 
 
-def tilt_and_forces(walks: Mapping[str, Any], title: str, until: float | None = None) -> Figure:
+def tilt_and_forces(
+    walks: Mapping[str, Any],
+    title: str,
+    until: float | None = None,
+    events: Mapping[str, Sequence[float]] | None = None,
+) -> Figure:
     """Draw trunk roll and pitch and both feet's vertical force of several walks (khadiv Figs. 12 and 13).
 
     Args:
         walks: traces (`sim.Sample` with a leading axis) by the name to show; the first one's phases are shaded.
         title: heading of the figure.
         until: last time to draw [s].
+        events: times to mark [s] by what happened then.
     """
     first = next(iter(walks.values()))
     shown = _shown(first, until)
@@ -45,6 +56,7 @@ def tilt_and_forces(walks: Mapping[str, Any], title: str, until: float | None = 
         axes.set_ylabel(label)
     for axes, side in zip(panels[2:], SIDE_NAMES, strict=True):
         axes.set_ylabel(f"{side} foot\nvertical force [N]")
+    mark_events(panels, events or {})
     return finish()
 
 
@@ -53,7 +65,7 @@ def measured_zmp(trace: Any, plan: Any, title: str) -> Figure:
 
     Args:
         trace: `sim.Sample` with a leading axis.
-        plan: `planner.Feasibility` at the trace's times.
+        plan: `planner.Feasibility`, or `Commanded`, at the trace's times.
         title: heading of the figure.
     """
     time = np.asarray(trace.time)
@@ -73,7 +85,7 @@ def measured_zmp(trace: Any, plan: Any, title: str) -> Figure:
 
 
 def modifications(trace: Any, nominal: Any, title: str) -> Figure:
-    """Draw what adaptation added to the plan (khadiv Fig. 11): feet forward and up, pelvis up.
+    """Draw what adaptation added to the plan (khadiv Fig. 11): feet forward and up, pelvis up; dots are touches.
 
     Args:
         trace: `sim.Sample` with a leading axis.
@@ -83,19 +95,29 @@ def modifications(trace: Any, nominal: Any, title: str) -> Figure:
     time = np.asarray(trace.time)
     panels, finish = panels_over_time(3, title, np.asarray(trace.targets.phase.support), time, 6.6)
     added = 1e3 * (np.asarray(trace.targets.position.sole) - np.asarray(nominal.sole))
-    closed = np.any(np.asarray(trace.switch), axis=-1).reshape(-1, 2)
     for side, name in enumerate(SIDE_NAMES):
-        style = {"color": SIDE_COLORS[side], "ls": SIDE_DASHES[side]}
-        panels[0].plot(time, added[:, side, 0], label=f"{name} foot", **style)
-        panels[1].plot(time, added[:, side, 2], label=f"{name} foot", **style)
-        touches = np.flatnonzero(closed[1:, side] & ~closed[:-1, side]) + 1
-        panels[1].plot(
-            time[touches], added[touches, side, 2], "o", ms=4, color=SIDE_COLORS[side], label="_touch"
-        )
+        for axes, axis in zip(panels[:2], (0, 2), strict=True):
+            style = {"color": SIDE_COLORS[side], "ls": SIDE_DASHES[side]}
+            axes.plot(time, added[:, side, axis], label=f"{name} foot", **style)
+            rows = [touch.row for touch in touches(trace) if touch.foot == name]
+            label = TOUCH_LABEL if side == 0 and axis == 0 else f"_{TOUCH_LABEL}"
+            axes.plot(
+                time[rows],
+                added[rows, side, axis],
+                "o",
+                ms=4.5,
+                mec="white",
+                mew=0.6,
+                color=SIDE_COLORS[side],
+                label=label,
+                zorder=3,
+            )
     pelvis = 1e3 * (np.asarray(trace.targets.position.pelvis) - np.asarray(nominal.pelvis))
     panels[2].plot(time, pelvis[:, 2], color=INK, label="pelvis")
     for axes, label in zip(panels, ("feet forward\n[mm]", "feet up\n[mm]", "pelvis up\n[mm]"), strict=True):
         axes.set_ylabel(label)
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, -LEAST_SHOWN), max(high, LEAST_SHOWN))
     return finish()
 
 
@@ -107,4 +129,4 @@ def _shown(trace: Any, until: float | None) -> np.ndarray:
 def _walking(trace: Any) -> np.ndarray:
     """Rows before a lane froze: time stands still in a fallen one."""
     time = np.asarray(trace.time)
-    return np.concatenate([[True], np.diff(time) > 0.0])
+    return np.arange(len(time)) < walked_rows(time)

@@ -1,0 +1,33 @@
+"""`jaxbiped export`: a robot for stock MuJoCo."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jaxbiped import sim
+from jaxbiped.commands.common import InputError, load_robot, make_writable, refusing
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a robot as an MJCF file that stock MuJoCo loads."""
+
+    robot: str
+    """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
+    out: Path
+    """The file to write (.xml)."""
+    json: bool = False
+    """Print one JSON object as the last line."""
+
+
+def run(command: Export) -> dict[str, Any]:
+    """Carry out the command; returns what --json prints."""
+    params, out = load_robot("--robot", command.robot), command.out
+    if out.suffix != ".xml" or out.is_dir():
+        raise InputError(f"--out: got '{out}', allowed: a file name that ends in .xml")
+    with refusing(out, "a file that can be written"):
+        make_writable(out.parent)
+        sim.write_mjcf(params, out)
+    mass = round(float(params.total_mass), 3)
+    print(f"{params.name}, {mass:g} kg, written to {out}")
+    return {"robot": params.name, "mass_kg": mass, "file": str(out)}

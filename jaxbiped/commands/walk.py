@@ -1,0 +1,249 @@
+"""`jaxbiped walk`: one walk of one robot, told in a few lines and drawn as the two papers draw it."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any
+
+import jax
+import numpy as np
+from tyro.conf import UseAppendAction, arg
+
+from jaxbiped import planner, score, sim
+from jaxbiped.adapt.landing import nominal_T_mod
+from jaxbiped.commands import walk_words
+from jaxbiped.commands.common import InputError, figures_module, make_writable, outcome, refusing, targets_at
+from jaxbiped.commands.walk_input import ARMS, Setup, set_up
+
+DRAWN_EVERY = 5
+"""Samples of the trace between two that are drawn, but for close-ups and filters."""
+
+Words = tuple[tuple[str, ...], ...]
+"""Values of an argument that may be given several times, each time with several values."""
+
+GAIT_HELP = "Default: the gait of the robot's own paper, cosine for elkahlout, else polynomial."
+OBSTACLE_HELP = (
+    "Pads under footholds: number of the step, 0 for the first, and height in m, negative for a hole. "
+    "Example: 3:0.03 4:-0.02"
+)
+PAYLOAD_HELP = (
+    "One load put on the trunk: mass in kg, and time in s since the start of the walk; the time of the cosine gait's "
+    "thesis begins T_ini later. Example: 15@2.4"
+)
+ARM_HELP = (
+    "Which adaptation is on. Landing: paper (to the letter) or repaired. Payload reflex: original (settles 2 s), "
+    "modified (settles 4 s) or repaired. 'repaired' is for every stage that no other word is for; a stage without a "
+    "word is off. Default: landing repaired if there are obstacles, reflex modified if there is a payload."
+)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Simulate one walk, over obstacles and under a payload the robot does not know of; say what happened; draw it."""
+
+    robot: str
+    """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
+    steps: int = 8
+    """Number of steps."""
+    gait: Annotated[str | None, arg(metavar="polynomial|cosine", help=GAIT_HELP)] = None
+    obstacle: Annotated[Words, UseAppendAction, arg(metavar="STEP:HEIGHT ...", help=OBSTACLE_HELP)] = ()
+    payload: Annotated[Words, UseAppendAction, arg(metavar="MASS@TIME", help=PAYLOAD_HELP)] = ()
+    arm: Annotated[Words, UseAppendAction, arg(metavar="|".join(ARMS) + " ...", help=ARM_HELP)] = ()
+    out: Path = Path("runs/walk")
+    """Folder of the figures; made if it is missing."""
+    json: bool = False
+    """Print one JSON object as the last line."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A simulated walk and what was read off it."""
+
+    setup: Setup
+    walk: Any
+    verdict: score.Verdict
+    nominal: planner.TaskSpace
+    """The plan at the trace's times, not a number where a reflex is in its place."""
+    touches: list[score.Touch]
+    recoveries: list[score.Recovery]
+
+
+def run(command: Walk) -> dict[str, Any]:
+    """Carry out the command; returns what --json prints."""
+    figures, out = figures_module(), command.out
+    obstacles = _flat("--obstacle", command.obstacle)
+    payload, arms = _flat("--payload", command.payload), _flat("--arm", command.arm)
+    setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, arms)
+    with refusing(out, "a folder that can be made and written"):
+        make_writable(out)
+    told = _tell(figures, setup, _simulate(setup))
+    result = _result(told)
+    print("\n".join(walk_words.lines(result)))
+    files = [str(figures.save(figure, out / f"{name}.png")) for name, figure in _draw(figures, told).items()]
+    print(f"{len(files)} figures in {out}")
+    return {**result, "files": files}
+
+
+def _flat(argument: str, given: Words) -> list[str]:
+    if () in given:
+        raise InputError(f"{argument}: got no value, allowed: one or more")
+    return [word for words in given for word in words]
+
+
+def _simulate(setup: Setup) -> sim.Walk:
+    walk = sim.rollout(setup.robot, setup.controller, setup.scenario, setup.duration, setup.options)
+    return jax.tree.map(np.asarray, walk)
+
+
+def _tell(figures: ModuleType, setup: Setup, walk: Any) -> Told:
+    trace, stage = walk.trace, setup.controller.payload
+    state = None if stage is None else walk.controller.payload
+    shifts = (0.0, 0.0) if state is None else (float(state.world_shift), float(state.x_shift))
+    plan = targets_at(setup.gait, trace.targets.time).position
+    return Told(
+        setup=setup,
+        walk=walk,
+        verdict=score.judge(walk, setup.gait, setup.scenario),
+        nominal=figures.nominal(plan, trace, *shifts),
+        touches=score.touches(trace),
+        recoveries=[] if stage is None else score.recoveries(trace, stage.params),
+    )
+
+
+def _result(told: Told) -> dict[str, Any]:
+    """Everything that is printed, in SI units but where a name says otherwise."""
+    setup, verdict = told.setup, told.verdict
+    start = round(float(setup.gait.params.T_ini), 6) if setup.gait_name == "cosine" else None
+    load = None
+    if setup.load is not None:
+        load = {
+            "mass_kg": setup.load.mass,
+            "time_s": setup.load.time,
+            "thesis_time_s": _later(setup.load.time, start),
+        }
+    until = float(verdict.until)
+    return {
+        "robot": setup.robot.name,
+        "gait": setup.gait_name,
+        "steps": setup.gait.timing.n_steps,
+        "planned_s": round(float(setup.gait.duration), 4),
+        "simulated_s": round(setup.duration, 4),
+        "arm": asdict(setup.arms),
+        "obstacles": [{"step": pad.step, "height_m": pad.height} for pad in setup.obstacles],
+        "payload": load,
+        "thesis_time_starts_s": start,
+        **outcome(told.walk),
+        "status": score.STATUS_TEXT[int(verdict.status)],
+        "success": bool(verdict.success),
+        "finished": bool(verdict.finished),
+        "had_to_stand_until_s": round(until, 4) if np.isfinite(until) else None,
+        "tilt_margin_deg": float(np.degrees(verdict.tilt_margin)),
+        "out_of_reach_s": round(float(verdict.out_of_reach_time), 4),
+        "steps_without_touch": int(verdict.missed),
+        "touches": [_touch(told, touch) for touch in told.touches],
+        "reflexes": [
+            {f"{name}_{unit}": _rounded(getattr(r, name)) for name, unit in _OF_REFLEX}
+            for r in told.recoveries
+        ],
+    }
+
+
+_OF_REFLEX = [
+    *((name, "s") for name in ("triggered", "reflex_end", "settled", "shifted", "recovered", "resumed")),
+    ("x_shift", "m"),
+]
+
+
+def _later(time: float, start: float | None) -> float | None:
+    return None if start is None else round(time - start, 6)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 5)
+
+
+def _touch(told: Told, touch: score.Touch) -> dict[str, Any]:
+    """A touch, and what adaptation had added to the swing foot's place by the end of the step."""
+    foot = ("left", "right").index(touch.foot)
+    commanded = np.asarray(told.walk.trace.targets.position.sole)[touch.end_row, foot]
+    added = commanded - np.asarray(told.nominal.sole)[touch.end_row, foot]
+    known = bool(np.all(np.isfinite(added)))
+    gait, landing = told.setup.gait, told.setup.controller.landing
+    lead = (
+        nominal_T_mod(gait, told.setup.scenario.sensors.delta_z[0, 0]) if landing is None else landing.T_mod
+    )
+    planned = touch.kind == "planned"
+    return {
+        "step": touch.step,
+        "foot": touch.foot,
+        "kind": touch.kind,
+        "time_s": round(touch.time, 4),
+        "landing": ("advance" if touch.late < 0.0 else "retard") if planned else None,
+        "after_T_s_s": round(touch.late, 4) if planned else None,
+        "late_s": round(touch.late + float(lead), 4) if planned else None,
+        "delta_x_m": round(float(added[0]), 5) if known else None,
+        "delta_z_m": round(float(added[2]), 5) if known else None,
+    }
+
+
+def _draw(figures: ModuleType, told: Told) -> dict[str, Any]:
+    setup = told.setup
+    full = figures.thin(told.walk.trace, 1)
+    trace, nominal = figures.thin(full, DRAWN_EVERY), _thin(told.nominal, len(full.time))
+    what = walk_words.heading(setup.robot.name, setup.gait_name, setup.gait.timing.n_steps)
+    time, phase, measured = trace.time, trace.targets.phase, figures.measured_task(trace)
+    load_time = None if setup.load is None else setup.load.time
+    events = figures.payload_events(load_time, told.recoveries)
+    touched = {"touch": [touch.time for touch in told.touches]} if setup.load is None else events
+    commands = trace.targets.position
+    drawn = {
+        "khadiv_fig6_feet": figures.feet(
+            time, commands, phase, f"Feet, commanded and measured: {what}", measured
+        ),
+        "khadiv_fig7_pelvis": figures.pelvis(
+            time, commands, phase, f"Pelvis, commanded and measured: {what}", measured
+        ),
+        "khadiv_fig8_9_zmp": figures.measured_zmp(
+            trace, figures.commanded(setup.robot, trace), f"ZMP: {what}"
+        ),
+        "khadiv_fig12_13_forces_and_tilt": figures.tilt_and_forces(
+            {"measured": trace}, f"Trunk and feet: {what}", events=touched
+        ),
+    }
+    if setup.controller.landing is not None:
+        drawn["khadiv_fig11_modifications"] = figures.modifications(
+            trace, nominal, f"Added to the plan: {what}"
+        )
+    if setup.load is not None:
+        drawn |= _draw_payload(figures, told, full, trace, events, f"{what}, {setup.load.mass:g} kg")
+    return drawn
+
+
+def _thin(nominal: planner.TaskSpace, rows: int) -> planner.TaskSpace:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:rows:DRAWN_EVERY], nominal)
+
+
+def _draw_payload(
+    figures: ModuleType, told: Told, full: Any, trace: Any, events: dict[str, list[float]], what: str
+) -> dict[str, Any]:
+    """The thesis' figures; what the payload stage felt and did is left out where it was off or did nothing."""
+    drawn = {
+        "elkahlout_fig4_3_references": figures.references(trace, events, f"Feet in the body frame: {what}"),
+        "elkahlout_fig4_4_pitch": figures.pitch(trace, events, f"Trunk pitch: {what}"),
+    }
+    stage = told.setup.controller.payload
+    if stage is None:
+        return drawn
+    felt = figures.felt(full, stage.params)
+    drawn["elkahlout_fig3_3_force_and_trigger"] = figures.force_and_trigger(
+        full, felt, stage.params, events, f"Felt weight: {what}"
+    )
+    if told.recoveries:
+        first = told.recoveries[0]
+        drawn["elkahlout_fig3_5_3_7_3_8_close_ups"] = figures.reflex_close_ups(
+            full, first, f"Feet in the body frame, from close by: {what}"
+        )
+        drawn["elkahlout_fig4_12_settling_zmp"] = figures.settling_zmp(
+            full, felt, stage.params, first, f"ZMP while settling: {what}"
+        )
+    return drawn

@@ -1,0 +1,245 @@
+"""From the words of `jaxbiped walk` to a robot, gait, controller and scenario; what cannot be meant is refused."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxbiped import adapt, planner, robot, sim
+from jaxbiped.commands.common import InputError, load_robot
+
+GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
+OWN_GAIT = {"elkahlout": "cosine"}
+"""The gait of each robot's own paper, where it is not the polynomial one."""
+OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = ARMS = ("off", "paper", "original", "modified", "repaired")
+REFLEX_ARMS = (ORIGINAL, MODIFIED)
+MOST_STEPS = 200
+DEEPEST = -0.2
+"""Of a hole [m]."""
+TRACE_DT = 2e-3
+"""Between two samples of the trace [s]."""
+STANDS_FOR = 0.5
+"""For how long the robot is watched after its walk [s]."""
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A pad under a foothold."""
+
+    step: int
+    height: float
+    """[m]"""
+
+
+@dataclass(frozen=True)
+class Load:
+    """A payload."""
+
+    mass: float
+    """[kg]"""
+    time: float
+    """[s]"""
+
+
+@dataclass(frozen=True)
+class Arms:
+    """Which version of each stage of adaptation is on."""
+
+    landing: str
+    """off, paper or repaired."""
+    reflex: str
+    """off, original, modified or repaired."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """All that a walk needs."""
+
+    robot: robot.RobotParams
+    gait: Any
+    gait_name: str
+    obstacles: list[Obstacle]
+    load: Load | None
+    arms: Arms
+    controller: adapt.Controller
+    scenario: sim.Scenario
+    options: sim.Options
+    duration: float
+    """To be simulated [s]."""
+
+
+def set_up(
+    robot_name: str,
+    steps: int,
+    gait_name: str | None,
+    obstacles: Iterable[str],
+    payload: Iterable[str],
+    arms: Iterable[str],
+) -> Setup:
+    """Read the arguments of `jaxbiped walk`.
+
+    Raises:
+        InputError: if one of them cannot be used.
+    """
+    params = load_robot("--robot", robot_name)
+    gait_name = gait_name or OWN_GAIT.get(params.name, "polynomial")
+    gait = _gait(params, gait_name, steps)
+    pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
+    chosen = _arms(list(arms), bool(pads), load is not None)
+    controller = _controller(params, gait, chosen)
+    options = simulation_options(params.name, gait_name)
+    return Setup(
+        robot=params,
+        gait=gait,
+        gait_name=gait_name,
+        obstacles=pads,
+        load=load,
+        arms=chosen,
+        controller=controller,
+        scenario=_scenario(params, gait, pads, load),
+        options=options,
+        duration=float(gait.duration) + STANDS_FOR + _time_of_recovery(controller, load),
+    )
+
+
+def simulation_options(robot_name: str, gait_name: str) -> sim.Options:
+    """The thesis' own walk by its own means: no feed-forward, control every tick, trunk with load by Eqs. 3.8-3.10."""
+    thesis = (robot_name, gait_name) == ("elkahlout", "cosine")
+    ticks = 1 if thesis else 4
+    return sim.Options(
+        control_every=ticks,
+        feed_forward=not thesis,
+        payload_model="thesis" if thesis else "exact",
+        trace_every=round(TRACE_DT / (ticks * sim.Options().dt)),
+    )
+
+
+def _gait(params: robot.RobotParams, name: str, steps: int) -> Any:
+    if name not in GAITS:
+        raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}")
+    if not 1 <= steps <= MOST_STEPS:
+        raise InputError(f"--steps: got {steps}, allowed: 1 to {MOST_STEPS}")
+    try:
+        return GAITS[name].preset(params, steps)
+    except planner.GaitError as error:
+        raise InputError(f"--robot, --gait: {error}") from None
+
+
+def _number(argument: str, got: str, form: str, text: str, kind: type) -> Any:
+    try:
+        value = kind(text)
+    except ValueError:
+        raise InputError(f"{argument}: got '{got}', allowed: {form}") from None
+    if not math.isfinite(value):
+        raise InputError(f"{argument}: got '{got}', allowed: {form} with finite numbers")
+    return value
+
+
+def _obstacles(words: Iterable[str], gait: Any) -> list[Obstacle]:
+    """STEP:HEIGHT, each step once, at most as high as the swing foot goes."""
+    form = "STEP:HEIGHT, a whole number and meters, such as 3:0.03 or 4:-0.02"
+    last, timing = gait.timing.n_steps - 1, gait.timing
+    lift = float(gait.task(timing.liftoff(0) + 0.5 * timing.T_s).sole[:, 2].max())
+    found: dict[int, Obstacle] = {}
+    for word in words:
+        parts = word.split(":")
+        if len(parts) != 2:
+            raise InputError(f"--obstacle: got '{word}', allowed: {form}")
+        step, height = (
+            _number("--obstacle", word, form, t, k) for t, k in zip(parts, (int, float), strict=True)
+        )
+        if not 0 <= step <= last:
+            raise InputError(
+                f"--obstacle: got step {step} in '{word}', allowed: 0 to {last} with --steps {last + 1}"
+            )
+        if step in found:
+            raise InputError(f"--obstacle: got step {step} twice, allowed: one obstacle under each step")
+        if not DEEPEST <= height < lift - 1e-6:
+            raise InputError(
+                f"--obstacle: got height {height:g} m in '{word}', allowed: {DEEPEST:g} m to below {lift:.3g} m, "
+                "the height the swing foot goes to"
+            )
+        found[step] = Obstacle(step, height)
+    return list(found.values())
+
+
+def _load(words: Iterable[str], gait: Any, params: robot.RobotParams) -> Load | None:
+    """MASS@TIME, at most one."""
+    form = "MASS@TIME, kilograms and seconds, such as 15@2.4"
+    given = list(words)
+    if not given:
+        return None
+    if len(given) > 1:
+        raise InputError(f"--payload: got {len(given)} ({', '.join(given)}), allowed: one")
+    word, parts = given[0], given[0].split("@")
+    if len(parts) != 2:
+        raise InputError(f"--payload: got '{word}', allowed: {form}")
+    mass, time = (_number("--payload", word, form, text, float) for text in parts)
+    most, end = float(params.total_mass), float(gait.duration)
+    if not 0.0 < mass <= most:
+        raise InputError(
+            f"--payload: got mass {mass:g} kg in '{word}', allowed: > 0 and <= {most:.4g} kg, the robot's"
+        )
+    if not 0.0 <= time <= end:
+        raise InputError(
+            f"--payload: got time {time:g} s in '{word}', allowed: 0 to {end:.4g} s, the planned walk"
+        )
+    return Load(mass, time)
+
+
+def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
+    """Without words: what the walk calls for. `repaired` stands for whichever stage no other word is for."""
+    for word in words:
+        if word not in ARMS:
+            raise InputError(f"--arm: got '{word}', allowed: {', '.join(ARMS)}")
+    if not words:
+        return Arms(REPAIRED if has_obstacles else OFF, MODIFIED if has_load else OFF)
+    reflexes = [word for word in words if word in REFLEX_ARMS]
+    if len(set(words)) < len(words) or len(reflexes) > 1 or (OFF in words and len(words) > 1):
+        raise InputError(
+            f"--arm: got {' '.join(words)}, allowed: off, or one for each stage: paper or repaired for landing, "
+            "original, modified or repaired for the payload reflex"
+        )
+    if len(words) == 3:
+        raise InputError(
+            f"--arm: got {' '.join(words)}, allowed: at most one word for each of the two stages"
+        )
+    otherwise = REPAIRED if REPAIRED in words else OFF
+    return Arms(PAPER if PAPER in words else otherwise, reflexes[0] if reflexes else otherwise)
+
+
+def _controller(params: robot.RobotParams, gait: Any, arms: Arms) -> adapt.Controller:
+    landing = None if arms.landing == OFF else getattr(adapt.Landing, arms.landing)()
+    reflex = None if arms.reflex == OFF else getattr(adapt.PayloadReflex, arms.reflex)(params, gait)
+    return adapt.Controller(gait, landing=landing, payload=reflex)
+
+
+def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
+    scenario = sim.Scenario.flat(rectangles=max(8, len(pads)))
+    for pad in pads:
+        scenario = scenario.with_obstacle(params, gait, pad.step, pad.height)
+    _refuse_overlaps(pads, scenario.terrain)
+    return scenario if load is None else scenario.with_payload(load.mass, load.time)
+
+
+def _refuse_overlaps(pads: list[Obstacle], terrain: Any) -> None:
+    """Heights of overlapping pads would add up to something nobody asked for."""
+    lower, upper = np.asarray(terrain.lower), np.asarray(terrain.upper)
+    for i, a in enumerate(pads):
+        for j, b in enumerate(pads[:i]):
+            if np.all(lower[i] < upper[j]) and np.all(lower[j] < upper[i]):
+                raise InputError(
+                    f"--obstacle: got pads under steps {min(a.step, b.step)} and {max(a.step, b.step)} that overlap "
+                    "in this gait, allowed: pads apart from each other"
+                )
+
+
+def _time_of_recovery(controller: adapt.Controller, load: Load | None) -> float:
+    """How long a reflex to the load puts the plan off, at most [s]."""
+    if load is None or controller.payload is None:
+        return 0.0
+    p, timing = controller.payload.params, controller.gait.timing
+    recovery_step = 2.2 * float(timing.T_s) + float(timing.T_c)
+    return float(p.reflex_time + 1.5 * p.settling_time + p.shift_time) + recovery_step

@@ -1,0 +1,17 @@
+"""What became of a walk: the papers' own verdicts, margins, and the touches and reflexes in a trace."""
+
+from jaxbiped.score.recoveries import Recovery, recoveries
+from jaxbiped.score.touches import Touch, touches, walked_rows
+from jaxbiped.score.verdict import STATUS_TEXT, UNFINISHED, Verdict, judge
+
+__all__ = [
+    "STATUS_TEXT",
+    "UNFINISHED",
+    "Recovery",
+    "Touch",
+    "Verdict",
+    "judge",
+    "recoveries",
+    "touches",
+    "walked_rows",
+]

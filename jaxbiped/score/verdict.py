@@ -1,0 +1,112 @@
+"""Whether a walk succeeded, by the rules of the two papers.
+
+khadiv: the robot finishes its walk without a fall.
+elkahlout (section 4.2): the robot does not fall in the step in which it is loaded, and completes two whole steps after
+its recovery; if no reflex came, two whole steps after the step of the loading.
+
+A step is a single support and the double support after it. Rules are met in the time of the plan, which stands still
+while a reflex lasts: a robot that falls later than that has succeeded all the same.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbiped import sim
+from jaxbiped.adapt import ControllerState
+from jaxbiped.adapt.payload import WALK
+from jaxbiped.planner import Gait
+from jaxbiped.sim import statistics
+
+Scalar = Float[Array, ""]
+
+UNFINISHED = len(sim.STATUS_TEXT)
+STATUS_TEXT = (*sim.STATUS_TEXT, "unfinished")
+WHOLE_STEPS = 2
+"""Steps to be completed after a recovery."""
+_SLACK = 5e-3
+"""How much earlier than due is in time: no control tick is longer [s]."""
+
+
+class Verdict(eqx.Module):
+    """What is said of one walk."""
+
+    success: Bool[Array, ""]
+    """Whether the robot met the rule that applies: elkahlout's after a load, else khadiv's."""
+    finished: Bool[Array, ""]
+    """Whether it met khadiv's rule."""
+    status: Int[Array, ""]
+    """Number in STATUS_TEXT: `ok` for a success, else what prevented it; `unfinished` if simulated time or plan ended
+    first."""
+    until: Scalar
+    """How long it had to stand [s]; infinite if it did not get as far as to walk on."""
+    tilt_margin: Scalar
+    """How much further the trunk could have tilted before it counted as a fall, in all the time simulated [rad]."""
+    out_of_reach_time: Scalar
+    """For how long the targets were beyond the legs' reach or joint ranges [s]."""
+    missed: Int[Array, ""]
+    """Steps that ended without a touch; 0 without landing adaptation."""
+
+
+def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
+    """Judge one walk by its statistics and the last state of its controller; pure, to be mapped over many.
+
+    Of several reflexes the last one counts. A load of 0 kg, or one that comes after the simulated time, is none.
+
+    Args:
+        walk: result of a roll-out of this gait in this scenario.
+        gait: the plan.
+        scenario: what happened.
+    """
+    stats, controller = jax.tree.map(jnp.asarray, (walk.statistics, walk.controller))
+    loading = scenario.payload
+    time, plan_time, walking = _progress(controller, stats.end_time)
+    delay = time - plan_time
+    first = _first_whole_step(controller, gait, loading.time, delay)
+    last = first + WHOLE_STEPS
+    end = jnp.minimum(gait.timing.liftoff(last), gait.duration)
+    has_load = (loading.mass > 0.0) & (loading.time < stats.end_time)
+    goal = jnp.where(has_load, end, gait.duration)
+    can = walking & (~has_load | (last <= gait.timing.n_steps))
+    success = can & (plan_time >= goal - _SLACK)
+    failed = stats.status != statistics.OK
+    status = jnp.where(success, statistics.OK, jnp.where(failed, stats.status, UNFINISHED))
+    missed = (
+        0 if walk.controller is None or walk.controller.landing is None else walk.controller.landing.missed
+    )
+    return Verdict(
+        success=success,
+        finished=walking & (plan_time >= gait.duration - _SLACK),
+        status=status.astype(jnp.int32),
+        until=jnp.where(can, goal + delay, jnp.inf),
+        tilt_margin=statistics.FALL_TILT - jnp.max(stats.peak_roll_pitch),
+        out_of_reach_time=stats.out_of_reach_time,
+        missed=jnp.asarray(missed, jnp.int32),
+    )
+
+
+def _progress(controller: ControllerState | None, end_time: Scalar) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
+    """Time, time in the plan, and whether the plan was being walked, at the controller's last tick."""
+    if controller is None:
+        return end_time, end_time, jnp.ones((), bool)
+    if controller.payload is None:
+        return controller.plan_time, controller.plan_time, jnp.ones((), bool)
+    return controller.payload.time, controller.plan_time, controller.payload.mode == WALK
+
+
+def _first_whole_step(
+    controller: ControllerState | None, gait: Gait, load_time: Scalar, delay: Any
+) -> Int[Array, ""]:
+    """Number of the first step that begins after the recovery and after the step of the loading."""
+    timing = gait.timing
+    loaded_in = jnp.floor((load_time - delay - timing.first_liftoff) / timing.T_c)
+    after_load = jnp.clip(loaded_in + 1, 0, timing.n_steps).astype(jnp.int32)
+    if controller is None or controller.payload is None:
+        return after_load
+    reflex = controller.payload
+    after_reflex = jnp.where(reflex.reflexes > 0, reflex.next_step, 0)
+    before_reflex = (reflex.reflexes > 0) & (load_time < reflex.resume_time)
+    return jnp.where(before_reflex, after_reflex, jnp.maximum(after_load, after_reflex))
