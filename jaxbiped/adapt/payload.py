@@ -554,12 +554,14 @@ class PayloadStage(eqx.Module):
     def _body_time(self, state: PayloadState) -> Scalar:
         """Time in which the body gets to the middle [s].
 
-        Not so long that it swings beyond it; half as long if both feet are there to stop it.
+        Not so long that it swings beyond it; the shorter, the nearer it is to the middle of two feet on the ground.
         """
         p, way = self.params, (state.end - state.start[0])[LEFT, 1]
         towards = jnp.where(way >= 0.0, -1.0, 1.0)
         velocity, acceleration = towards * state.start[1, LEFT, 1], towards * state.start[2, LEFT, 1]
-        longest = jnp.where(state.support == DOUBLE_SUPPORT, 0.5, 1.0) * p.body_time
+        half_distance = 0.5 * (state.end[LEFT, 1] - state.end[RIGHT, 1])
+        share = 0.5 + 0.5 * jnp.minimum(jnp.abs(way) / half_distance, 1.0)
+        longest = jnp.where(state.support == DOUBLE_SUPPORT, share, 1.0) * p.body_time
         without_overshoot = longest_time_to_rest(velocity, acceleration, jnp.abs(way))
         return jnp.maximum(jnp.minimum(without_overshoot, longest), p.reflex_time)
 
