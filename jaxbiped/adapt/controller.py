@@ -56,7 +56,7 @@ class Controller(eqx.Module):
         """One control tick: read the sensors, give task-space targets."""
         payload, landing = state.payload, state.landing
         if self.payload is not None and payload is not None:
-            shaken = jnp.zeros((), bool) if landing is None else landing.shaken(sensed.time)
+            shaken = jnp.zeros((), bool) if landing is None else landing.shaken()
             payload, targets = self.payload.step(payload, self.gait, sensed, shaken)
         else:
             targets = at(self.gait, sensed.time)

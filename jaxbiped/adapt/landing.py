@@ -134,11 +134,10 @@ class LandingState(eqx.Module):
         """Time since lift-off at the last tick [s]."""
         return self.phase.time_since_liftoff
 
-    def shaken(self, time: Scalar) -> Bool[Array, ""]:
-        """Whether a foot has just touched, or is overdue."""
-        tau = self.tau + (time - self.time)
-        overdue = ~self.touched & self.aloft & (tau > self.phase.T_s)
-        return overdue | (self.touched & (tau - self.touch_tau < _SHAKEN_TIME))
+    def shaken(self) -> Bool[Array, ""]:
+        """Whether at the last tick a foot had just touched, or was overdue."""
+        overdue = ~self.touched & self.aloft & (self.tau > self.phase.T_s)
+        return overdue | (self.touched & (self.tau - self.touch_tau < _SHAKEN_TIME))
 
 
 class LandingStage(eqx.Module):

@@ -195,7 +195,10 @@ def simulate(
     world = plant.make_plant(robot, model, scenario, options.payload_model)
     state = _start(world, controller, torque, options)
     ticks = round(duration / options.control_dt)
-    step = functools.partial(_control_tick, world, controller, torque, options)
+    # Times are looked up, not multiplied in every expression that needs one: XLA rounds those differently (fused
+    # multiply-add), and what is decided by a time would be decided differently for different fields of one record.
+    clock = jnp.arange(ticks + 1) * options.control_dt
+    step = functools.partial(_control_tick, world, controller, torque, options, clock)
     if options.trace_every == 0:
         state, _ = jax.lax.scan(lambda s, _: (step(s)[0], None), state, None, length=ticks)
         return Walk(state.physics.statistics, None, state.controller)
@@ -230,11 +233,16 @@ def _start(world: Plant, controller: Controller, torque: FeedForward, options: O
 
 
 def _control_tick(
-    world: Plant, controller: Controller, torque: FeedForward, options: Options, state: State
+    world: Plant,
+    controller: Controller,
+    torque: FeedForward,
+    options: Options,
+    clock: Float[Array, " n"],
+    state: State,
 ) -> tuple[State, Sample]:
     """Move the physics, read the sensors, step the controller, turn its targets into a servo reference."""
     physics, (body, touch, applied) = _physics_ticks(world, options, state)
-    time = physics.tick * options.dt
+    time = clock[physics.tick // options.control_every]
     zmp = sensors.centre_of_pressure(touch, state.zmp)
     sensed, delay = _sense(world, options, physics, body, touch, zmp, time, state.delay)
     controller_state, targets = controller.step(state.controller, sensed)

@@ -1,0 +1,119 @@
+"""Landing and payload reflex in one controller: obstacles and a load in the same walk, without and with physics."""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbiped import planner, robot
+from jaxbiped.adapt import Controller, Landing, PayloadReflex, Sensed
+from jaxbiped.sim import Options, Scenario, mjx_adapter, simulate
+from jaxbiped.sim.rollout import make_feed_forward
+
+DT = 0.004
+STEPS = 6
+DELTA_Z = 0.01
+
+
+@partial(eqx.filter_jit)
+def play(controller: Controller, ground: Any, load_time: Any, ticks: int) -> Any:
+    """Kinematics only: feet close their switches within DELTA_Z of the ground under them, left and right lane.
+
+    Returns:
+        Commanded soles and pelvis, the mode at every tick, and the last state.
+    """
+
+    stage = controller.payload
+    assert stage is not None
+
+    def tick(carry: Any, time: Any) -> Any:
+        state, sole = carry
+        closed = sole[:, 2] <= ground + DELTA_Z
+        force = jnp.where(time > load_time, 1000.0, 800.0)
+        zeros = jnp.zeros
+        sensed = Sensed(
+            time=time,
+            switch=jnp.broadcast_to(closed[:, None], (2, 4)),
+            switch_time=jnp.full((2, 4), time),
+            corner_force=jnp.full((2, 4), force / 8.0),
+            ankle_wrench=zeros((2, 6)),
+            angle=zeros((2, 6)),
+            speed=zeros((2, 6)),
+            roll_pitch=zeros(2),
+            rate=zeros(3),
+            zmp_world=zeros(2),
+            zmp_body=jnp.stack([stage.params.zmp_balanced + 0.01, jnp.zeros(())]),
+        )
+        state, targets = controller.step(state, sensed)
+        assert state.payload is not None
+        row = (targets.position.sole, targets.position.pelvis, state.payload.mode)
+        return (state, targets.position.sole), row
+
+    start = (controller.init(), controller.gait.task(jnp.zeros(())).sole)
+    (state, _), rows = jax.lax.scan(tick, start, jnp.arange(ticks) * DT)
+    return rows, state
+
+
+@pytest.fixture(scope="module")
+def both() -> Controller:
+    biped = robot.load("surena3")
+    gait = planner.PolynomialGait.preset(biped, STEPS)
+    return Controller(gait, landing=Landing.repaired(), payload=PayloadReflex.repaired(biped, gait))
+
+
+@pytest.mark.parametrize("load_time", np.arange(3.4, 5.2, 0.2).tolist())
+@pytest.mark.parametrize("ground", [(0.0, 0.0), (0.02, 0.0), (-0.02, 0.0)])
+def test_commands_stay_continuous_through_obstacle_and_load(both, load_time, ground):
+    ticks = int((float(both.gait.duration) + 14.0) / DT)
+    (sole, pelvis, mode), state = play(both, jnp.asarray(ground), jnp.asarray(load_time), ticks)
+    assert int(state.payload.reflexes) == 1
+    assert int(mode[-1]) == 0
+    for path in (sole.reshape(-1, 6), pelvis):
+        speed = np.abs(np.diff(np.asarray(path), axis=0)).max() / DT
+        assert speed < 1.6, "a jump of a centimetre would be 2.5 m/s"
+    assert np.all(np.isfinite(sole)) and np.all(np.isfinite(pelvis))
+
+
+def test_a_load_on_flat_ground_leaves_landing_as_it_is(both):
+    """Landing on flat ground adds a millimetre at most to what the payload stage asks for, recovery included."""
+    alone = Controller.__new__(Controller)
+    alone = eqx.tree_at(lambda c: c.landing, both, None)
+    ticks = int((float(both.gait.duration) + 14.0) / DT)
+    load = jnp.asarray(4.2)
+    (sole, pelvis, *_), _ = play(both, jnp.zeros(2), load, ticks)
+    (plain_sole, plain_pelvis, *_), _ = play(alone, jnp.zeros(2), load, ticks)
+    np.testing.assert_allclose(sole[..., 1:], plain_sole[..., 1:], atol=1.5e-3)
+    np.testing.assert_allclose(pelvis[..., 1:], plain_pelvis[..., 1:], atol=1.5e-3)
+
+
+@pytest.mark.slow
+def test_load_during_a_walk_over_obstacles():
+    """surena3 in closed loop: a load before, on and after an obstacle, and an obstacle after the recovery."""
+    biped = robot.load("surena3")
+    gait = planner.PolynomialGait.preset(biped, 8)
+    controller = Controller(gait, landing=Landing.repaired(), payload=PayloadReflex.repaired(biped, gait))
+    options, duration = Options(), float(gait.duration) + 12.0
+    flat = Scenario.flat(1)
+    cases = [
+        flat.with_payload(15.0, 3.6),
+        flat.with_payload(8.0, 4.2),
+        flat.with_obstacle(biped, gait, 1, 0.02).with_payload(8.0, 5.4),
+        flat.with_obstacle(biped, gait, 1, 0.02).with_payload(8.0, 7.2),
+        flat.with_obstacle(biped, gait, 1, -0.02).with_payload(8.0, 5.4),
+        flat.with_obstacle(biped, gait, 1, -0.02).with_payload(8.0, 7.2),
+    ]
+    model = mjx_adapter.base_model(biped)
+
+    @eqx.filter_jit
+    def go(batch: Any) -> Any:
+        table = make_feed_forward(biped, controller, duration, options)
+        return jax.vmap(lambda s: simulate(biped, model, controller, s, table, duration, options))(batch)
+
+    walk = jax.tree.map(np.asarray, go(jax.tree.map(lambda *leaf: jnp.stack(leaf), *cases)))
+    np.testing.assert_array_equal(walk.statistics.status, 0)
+    assert np.all(walk.controller.payload.reflexes >= 1)
+    assert np.all(np.degrees(walk.statistics.peak_roll_pitch) < 8.0)
