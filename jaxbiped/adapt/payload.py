@@ -38,6 +38,7 @@ from jaxbiped.planner import (
     Targets,
     TaskSpace,
     Timing,
+    at,
     feasibility,
     is_concrete,
 )
@@ -491,18 +492,26 @@ class PayloadStage(eqx.Module):
         return state.resume_plan_time + jnp.where(on_the_way, slow, since)
 
     def _plan_targets(self, state: PayloadState, gait: Gait, time: Scalar) -> Targets:
-        """The plan, wherever the walk has got to."""
+        """The plan, wherever the walk has got to; exactly the plan as long as nothing has happened."""
         one = jnp.ones_like(time)
 
-        def plan(t: Scalar) -> TaskSpace:
-            return self._in_world(gait.task(self._plan_time(state, gait.timing, t)), state)
+        def plan_time(t: Scalar) -> Scalar:
+            return self._plan_time(state, gait.timing, t)
 
-        def with_velocity(t: Scalar) -> tuple[TaskSpace, TaskSpace]:
-            return jax.jvp(plan, (t,), (one,))
+        def with_rate(t: Scalar) -> tuple[Scalar, Scalar]:
+            return jax.jvp(plan_time, (t,), (one,))
 
-        (position, velocity), (_, acceleration) = jax.jvp(with_velocity, (time,), (one,))
-        plan_time = self._plan_time(state, gait.timing, time)
-        return Targets(position, velocity, acceleration, gait.phase(plan_time), plan_time)
+        (now, rate), (_, change) = jax.jvp(with_rate, (time,), (one,))
+        plan = at(gait, now)
+        return Targets(
+            position=self._in_world(plan.position, state),
+            velocity=jax.tree.map(lambda v: v * rate, plan.velocity),
+            acceleration=jax.tree.map(
+                lambda a, v: a * rate * rate + v * change, plan.acceleration, plan.velocity
+            ),
+            phase=plan.phase,
+            time=now,
+        )
 
     def _in_world(self, task: TaskSpace, state: PayloadState) -> TaskSpace:
         """The plan's task space where the walk is, with the body behind the feet by the shift of x_ref."""

@@ -242,7 +242,7 @@ def _control_tick(
 ) -> tuple[State, Sample]:
     """Move the physics, read the sensors, step the controller, turn its targets into a servo reference."""
     physics, (body, touch, applied) = _physics_ticks(world, options, state)
-    time = clock[physics.tick // options.control_every]
+    time = clock[-(-physics.tick // options.control_every)]  # a lane that failed stays at the end of its tick
     zmp = sensors.centre_of_pressure(touch, state.zmp)
     sensed, delay = _sense(world, options, physics, body, touch, zmp, time, state.delay)
     controller_state, targets = controller.step(state.controller, sensed)
