@@ -632,7 +632,7 @@ class PayloadStage(eqx.Module):
         )
         liftoff = ends[SHIFT] + 0.5 * step.t_ds
         tau = time - liftoff
-        single = (tau >= 0.0) & (tau < step.t_ss) & (step.lift > 0.0)
+        single = (tau >= 0.0) & (tau < step.t_ss) & (step.lift > 1e-6)
         standing = jnp.where(tau < 0.0, time - ends[SETTLE], tau - step.t_ss)
         recovery = Phase(
             step=jnp.maximum(state.next_step - 1, 0),
