@@ -66,7 +66,7 @@ def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
         reference, _ = refer(t)
         torque, _ = plant.servo_torque(world, reference, q, v, jnp.zeros((2, 6)))
         new = v + DT * accelerate(body, drag, force.at[6:].add(torque.reshape(-1)))
-        return advance(q, new), new, statistics.update(statistics.init(body), body, contact, t)
+        return advance(q, new), new, statistics.update(statistics.init(body), body, contact, t, 5e-4)
 
     body = jax.jit(jax.vmap(move))(many_qpos, many_qvel, times)
     contact = jax.jit(jax.vmap(touch))(body)

@@ -1,6 +1,7 @@
 """jaxbiped: a pure-JAX, differentiable, vectorised simulator and batch tester for biped walking adaptation.
 
-Data flows one way through the rooms: robot -> kinematics -> planner -> adapt -> sim -> score -> report, commands, cli.
+Data flows one way through the rooms: robot -> kinematics -> planner -> adapt -> sim -> score -> batch -> report,
+commands, cli.
 See docs/conventions.md for frames, signs and units.
 """
 
@@ -8,7 +9,8 @@ from jaxbiped._versions import check_installed
 
 check_installed()
 
-from jaxbiped import adapt, kinematics, planner, robot, score, sim  # noqa: E402  (after the version check, on purpose)
-
 __version__ = "0.1.0"
-__all__ = ["__version__", "adapt", "kinematics", "planner", "robot", "score", "sim"]
+
+from jaxbiped import adapt, batch, kinematics, planner, robot, score, sim  # noqa: E402  (after the check, on purpose)
+
+__all__ = ["__version__", "adapt", "batch", "kinematics", "planner", "robot", "score", "sim"]

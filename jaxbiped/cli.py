@@ -12,10 +12,30 @@ from typing import Any
 import jax
 import tyro
 
-from jaxbiped.commands import InputError, demo, export, walk
+from jaxbiped.commands import (
+    InputError,
+    WorkersLost,
+    demo,
+    doctor,
+    export,
+    obstacles,
+    payload,
+    replay,
+    report_page,
+    walk,
+)
 
-OK, FAILED, BAD_INPUT = 0, 1, 2
-Command = demo.Demo | walk.Walk | export.Export
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+Command = (
+    demo.Demo
+    | walk.Walk
+    | payload.Payload
+    | obstacles.Obstacles
+    | replay.Replay
+    | report_page.Report
+    | doctor.Doctor
+    | export.Export
+)
 
 
 def main(args: list[str] | None = None) -> int:
@@ -26,8 +46,10 @@ def main(args: list[str] | None = None) -> int:
         result = _run(command)
     except InputError as error:
         return _complain(error, BAD_INPUT)
-    except ImportError as error:
+    except (ImportError, WorkersLost) as error:
         return _complain(error, FAILED)
+    except KeyboardInterrupt:
+        return _complain(InputError("stopped; the same command goes on with what is finished"), INTERRUPTED)
     except SystemExit as stop:  # --help
         return int(stop.code or OK)
     if command.json:
@@ -41,6 +63,16 @@ def _run(command: Command) -> dict[str, Any]:
             return demo.run(command)
         case walk.Walk():
             return walk.run(command)
+        case payload.Payload():
+            return payload.run(command)
+        case obstacles.Obstacles():
+            return obstacles.run(command)
+        case replay.Replay():
+            return replay.run(command)
+        case report_page.Report():
+            return report_page.run(command)
+        case doctor.Doctor():
+            return doctor.run(command)
         case export.Export():
             return export.run(command)
 

@@ -26,6 +26,19 @@ def _keep_compiled_kernels() -> None:
 _keep_compiled_kernels()
 
 
+MOST_MAPS = 20_000
+"""Memory maps of a process at which compiled functions are dropped; Linux allows 65,530 (vm.max_map_count)."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_compiled_functions() -> Iterator[None]:
+    """Every compiled function holds memory maps, and a process that has too many of them crashes."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > MOST_MAPS:
+        jax.clear_caches()
+
+
 @pytest.fixture
 def x64() -> Iterator[None]:
     """The test computes in float64; every other test in JAX's default, float32."""

@@ -52,6 +52,14 @@ class Controller(eqx.Module):
             landing=None if self.landing is None else self.landing.init(),
         )
 
+    def longest_delay(self) -> float:
+        """For how long a reflex can put the plan off [s]; 0 without a payload stage."""
+        if self.payload is None:
+            return 0.0
+        p, timing = self.payload.params, self.gait.timing
+        recovery_step = 2.2 * float(timing.T_s) + float(timing.T_c)
+        return float(p.reflex_time + 1.5 * p.settling_time + p.shift_time) + recovery_step
+
     def step(self, state: ControllerState, sensed: Sensed) -> tuple[ControllerState, Targets]:
         """One control tick: read the sensors, give task-space targets."""
         payload, landing = state.payload, state.landing

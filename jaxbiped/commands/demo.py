@@ -1,15 +1,19 @@
-"""`jaxbiped demo`: both papers' walks, planned, and one of them simulated over obstacles."""
+"""`jaxbiped demo`: the main job in the small, on both robots: plans, a grid of loads, a grid of obstacles, one page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
+import polars as pl
+from tyro.conf import arg
 
-from jaxbiped import adapt, kinematics, planner, robot, sim
+from jaxbiped import adapt, batch, kinematics, planner, robot, sim
+from jaxbiped.commands import batches, obstacles, payload, replay
+from jaxbiped.commands.choices import clock_start
 from jaxbiped.commands.common import (
     figures_module,
     make_writable,
@@ -27,12 +31,17 @@ TRACE_DT = 0.01
 """Between two samples of a drawn trace [s]."""
 
 
+RECOVERY = {"arm": "modified", "load_kg": 15.0, "time_s": 1.2}
+"""The walk under a load that is drawn."""
+
+
 @dataclass(frozen=True)
 class Demo:
-    """Plan both papers' walks, say how feasible they are, walk one over unknown obstacles, and draw it all."""
+    """Plan both papers' walks, test them under loads and over obstacles by the dozen, and put it all on one page."""
 
     out: Path = Path("runs/demo")
-    """Folder of the figures; made if it is missing."""
+    """Folder of the page, the tables and the figures; made if it is missing."""
+    workers: Annotated[int | None, arg(help=batches.WORKERS_HELP)] = None
     json: bool = False
     """Print one JSON object as the last line."""
 
@@ -58,22 +67,71 @@ def run(command: Demo) -> dict[str, Any]:
         "surena3": _plan(surena, planner.PolynomialGait.preset(surena, N_STEPS)),
         "elkahlout": _plan(elkahlout, planner.CosineGait.preset(elkahlout, N_STEPS)),
     }
-    drawn = _draw_surena3(figures, walks["surena3"]) | _draw_elkahlout(figures, walks["elkahlout"])
+    summaries = {name: _summary(walk) for name, walk in walks.items()}
+    for summary in summaries.values():
+        print(_in_words(summary), flush=True)
+    loads = payload.run(payload.Payload(out=out / "payload", workers=command.workers, overwrite=True))
+    pads = obstacles.run(obstacles.Obstacles(out=out / "obstacles", workers=command.workers, overwrite=True))
     print("walking surena3 over three obstacles, with and without landing adaptation", flush=True)
     simulated = _walk_over_obstacles(surena, walks["surena3"].gait)
-    drawn |= _draw_obstacles(figures, walks["surena3"].gait, simulated)
-    files = [figures.save(figure, out / f"{name}.png") for name, figure in drawn.items()]
-    summaries = {name: _summary(walk) for name, walk in walks.items()}
     outcomes = {name: outcome(walk) for name, walk in simulated.items()}
-    for summary in summaries.values():
-        print(_in_words(summary))
-    print(
-        f"surena3 in simulation over obstacles of {', '.join(f'{100 * h:g}' for h in OBSTACLES.values())} cm:"
-    )
     for name, one in outcomes.items():
-        print(f"  {name}: {outcome_in_words(one)}")
-    print(f"{len(files)} figures in {out}")
-    return {"walks": summaries, "obstacles": outcomes, "files": [str(file) for file in files]}
+        print(f"  {name}: {outcome_in_words(one)}", flush=True)
+    recovery = _recovery(out)
+    drawn = {
+        **_draw_surena3(figures, walks["surena3"]),
+        **_draw_elkahlout(figures, walks["elkahlout"]),
+        **_draw_obstacles(figures, walks["surena3"].gait, simulated),
+    }
+    files = [*batches.save(figures, drawn, out), *loads["files"], *pads["files"], *recovery["files"]]
+    page = _page(out, recovery["files"])
+    print(f"{len(files)} figures in {out}; all of it on one page: {page}")
+    return {
+        "walks": summaries,
+        "payload": loads["cells"],
+        "obstacles": pads["cells"],
+        "three_obstacles": outcomes,
+        "recovery": {name: recovery[name] for name in ("success", "status", "peak_pitch_deg", "agrees")},
+        "page": str(page),
+        "files": files,
+    }
+
+
+def _recovery(out: Path) -> dict[str, Any]:
+    """One row of the grid of loads again, with its figures."""
+    experiment, table = batch.open_table(out / "payload")
+    start = clock_start(next(iter(experiment.arms.values())).gait)
+    wanted = (
+        (pl.col("arm") == RECOVERY["arm"])
+        & (pl.col("load_kg") == RECOVERY["load_kg"])
+        & ((pl.col("load_time_s") - start - RECOVERY["time_s"]).abs() < 1e-6)
+    )
+    row = int(table.filter(wanted)["row"][0])
+    return replay.run(replay.Replay(out / "payload", row, out / "recovery"))
+
+
+def _page(out: Path, recovery: list[str]) -> Path:
+    """Both tables, and the pictures of one walk over obstacles and of one recovery, in one file."""
+    from jaxbiped.report import overview, page
+
+    sections = []
+    for name in ("payload", "obstacles"):
+        sections += overview.sections(*batch.open_table(out / name), about=f"{name.capitalize()}: ")
+    heights = ", ".join(f"{100 * height:g}" for height in OBSTACLES.values())
+    walked = sorted(str(file) for file in out.glob("surena3_obstacles_*.png"))
+    sections += [
+        _pictures(f"One walk of surena3 over {heights} cm", walked),
+        _pictures("One walk of elkahlout: 15 kg at 1.2 s, modified reflex", recovery),
+    ]
+    return page.write_page(out / "demo.html", "jaxbiped: walks under loads and over obstacles", sections)
+
+
+def _pictures(heading: str, files: list[str]) -> Any:
+    from jaxbiped.report.page import Picture, Section
+
+    return Section(
+        heading, figures=tuple(Picture(Path(file), Path(file).stem.replace("_", " ")) for file in files)
+    )
 
 
 def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.Walk]:

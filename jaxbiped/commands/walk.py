@@ -76,12 +76,9 @@ def run(command: Walk) -> dict[str, Any]:
     setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, arms)
     with refusing(out, "a folder that can be made and written"):
         make_writable(out)
-    told = _tell(figures, setup, _simulate(setup))
-    result = _result(told)
-    print("\n".join(walk_words.lines(result)))
-    files = [str(figures.save(figure, out / f"{name}.png")) for name, figure in _draw(figures, told).items()]
-    print(f"{len(files)} figures in {out}")
-    return {**result, "files": files}
+    result = tell(figures, setup, simulate(setup), out)
+    print(f"{len(result['files'])} figures in {out}")
+    return result
 
 
 def _flat(argument: str, given: Words) -> list[str]:
@@ -90,7 +87,17 @@ def _flat(argument: str, given: Words) -> list[str]:
     return [word for words in given for word in words]
 
 
-def _simulate(setup: Setup) -> sim.Walk:
+def tell(figures: ModuleType, setup: Setup, walk: sim.Walk, out: Path) -> dict[str, Any]:
+    """Print what happened in a walk and draw it into a folder; returns the numbers and the files."""
+    told = _tell(figures, setup, walk)
+    result = _result(told)
+    print("\n".join(walk_words.lines(result)))
+    files = [str(figures.save(figure, out / f"{name}.png")) for name, figure in _draw(figures, told).items()]
+    return {**result, "files": files}
+
+
+def simulate(setup: Setup) -> sim.Walk:
+    """The walk of a setup, with its trace, on the host."""
     walk = sim.rollout(setup.robot, setup.controller, setup.scenario, setup.duration, setup.options)
     return jax.tree.map(np.asarray, walk)
 

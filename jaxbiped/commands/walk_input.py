@@ -2,26 +2,32 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from jaxbiped import adapt, planner, robot, sim
+from jaxbiped import adapt, robot, score, sim
+from jaxbiped.commands.choices import (
+    MODIFIED,
+    OFF,
+    ORIGINAL,
+    PAPER,
+    REPAIRED,
+    landing_of,
+    make_gait,
+    own_gait,
+    reflex_of,
+    simulation_options,
+)
 from jaxbiped.commands.common import InputError, load_robot
 
-GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
-OWN_GAIT = {"elkahlout": "cosine"}
-"""The gait of each robot's own paper, where it is not the polynomial one."""
-OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = ARMS = ("off", "paper", "original", "modified", "repaired")
+ARMS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
 REFLEX_ARMS = (ORIGINAL, MODIFIED)
-MOST_STEPS = 200
 DEEPEST = -0.2
 """Of a hole [m]."""
 TRACE_DT = 2e-3
 """Between two samples of the trace [s]."""
-STANDS_FOR = 0.5
-"""For how long the robot is watched after its walk [s]."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +90,15 @@ def set_up(
         InputError: if one of them cannot be used.
     """
     params = load_robot("--robot", robot_name)
-    gait_name = gait_name or OWN_GAIT.get(params.name, "polynomial")
-    gait = _gait(params, gait_name, steps)
+    gait_name = gait_name or own_gait(params)
+    gait = make_gait(params, gait_name, steps)
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
     chosen = _arms(list(arms), bool(pads), load is not None)
-    controller = _controller(params, gait, chosen)
-    options = simulation_options(params.name, gait_name)
+    controller = adapt.Controller(
+        gait, landing=landing_of(chosen.landing), payload=reflex_of(chosen.reflex, params, gait)
+    )
+    options = simulation_options(params, gait)
+    options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     return Setup(
         robot=params,
         gait=gait,
@@ -100,31 +109,8 @@ def set_up(
         controller=controller,
         scenario=_scenario(params, gait, pads, load),
         options=options,
-        duration=float(gait.duration) + STANDS_FOR + _time_of_recovery(controller, load),
+        duration=score.watch_time(controller, load is not None),
     )
-
-
-def simulation_options(robot_name: str, gait_name: str) -> sim.Options:
-    """The thesis' own walk by its own means: no feed-forward, control every tick, trunk with load by Eqs. 3.8-3.10."""
-    thesis = (robot_name, gait_name) == ("elkahlout", "cosine")
-    ticks = 1 if thesis else 4
-    return sim.Options(
-        control_every=ticks,
-        feed_forward=not thesis,
-        payload_model="thesis" if thesis else "exact",
-        trace_every=round(TRACE_DT / (ticks * sim.Options().dt)),
-    )
-
-
-def _gait(params: robot.RobotParams, name: str, steps: int) -> Any:
-    if name not in GAITS:
-        raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}")
-    if not 1 <= steps <= MOST_STEPS:
-        raise InputError(f"--steps: got {steps}, allowed: 1 to {MOST_STEPS}")
-    try:
-        return GAITS[name].preset(params, steps)
-    except planner.GaitError as error:
-        raise InputError(f"--robot, --gait: {error}") from None
 
 
 def _number(argument: str, got: str, form: str, text: str, kind: type) -> Any:
@@ -210,12 +196,6 @@ def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
     return Arms(PAPER if PAPER in words else otherwise, reflexes[0] if reflexes else otherwise)
 
 
-def _controller(params: robot.RobotParams, gait: Any, arms: Arms) -> adapt.Controller:
-    landing = None if arms.landing == OFF else getattr(adapt.Landing, arms.landing)()
-    reflex = None if arms.reflex == OFF else getattr(adapt.PayloadReflex, arms.reflex)(params, gait)
-    return adapt.Controller(gait, landing=landing, payload=reflex)
-
-
 def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
     scenario = sim.Scenario.flat(rectangles=max(8, len(pads)))
     for pad in pads:
@@ -234,12 +214,3 @@ def _refuse_overlaps(pads: list[Obstacle], terrain: Any) -> None:
                     f"--obstacle: got pads under steps {min(a.step, b.step)} and {max(a.step, b.step)} that overlap "
                     "in this gait, allowed: pads apart from each other"
                 )
-
-
-def _time_of_recovery(controller: adapt.Controller, load: Load | None) -> float:
-    """How long a reflex to the load puts the plan off, at most [s]."""
-    if load is None or controller.payload is None:
-        return 0.0
-    p, timing = controller.payload.params, controller.gait.timing
-    recovery_step = 2.2 * float(timing.T_s) + float(timing.T_c)
-    return float(p.reflex_time + 1.5 * p.settling_time + p.shift_time) + recovery_step

@@ -2,7 +2,7 @@
 
 from jaxbiped.score.recoveries import Recovery, recoveries
 from jaxbiped.score.touches import Touch, touches, walked_rows
-from jaxbiped.score.verdict import STATUS_TEXT, UNFINISHED, Verdict, judge
+from jaxbiped.score.verdict import STATUS_TEXT, UNFINISHED, Verdict, judge, watch_time
 
 __all__ = [
     "STATUS_TEXT",
@@ -14,4 +14,5 @@ __all__ = [
     "recoveries",
     "touches",
     "walked_rows",
+    "watch_time",
 ]

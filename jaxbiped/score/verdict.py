@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped import sim
-from jaxbiped.adapt import ControllerState
+from jaxbiped.adapt import Controller, ControllerState
 from jaxbiped.adapt.payload import WALK
 from jaxbiped.planner import Gait
 from jaxbiped.sim import statistics
@@ -27,6 +27,8 @@ UNFINISHED = len(sim.STATUS_TEXT)
 STATUS_TEXT = (*sim.STATUS_TEXT, "unfinished")
 WHOLE_STEPS = 2
 """Steps to be completed after a recovery."""
+STANDS_FOR = 0.5
+"""For how long a robot is watched after its walk [s]."""
 _SLACK = 5e-3
 """How much earlier than due is in time: no control tick is longer [s]."""
 
@@ -49,6 +51,16 @@ class Verdict(eqx.Module):
     """For how long the targets were beyond the legs' reach or joint ranges [s]."""
     missed: Int[Array, ""]
     """Steps that ended without a touch; 0 without landing adaptation."""
+
+
+def watch_time(controller: Controller, loaded: bool) -> float:
+    """How long a walk is to be simulated for its verdict [s].
+
+    Args:
+        controller: with the gait and the stages of the walk.
+        loaded: whether a load is put on.
+    """
+    return float(controller.gait.duration) + STANDS_FOR + (controller.longest_delay() if loaded else 0.0)
 
 
 def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:

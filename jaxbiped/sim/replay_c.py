@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbiped.adapt import Controller, Sensed
 from jaxbiped.kinematics import GRAVITY
-from jaxbiped.planner import Targets, at
+from jaxbiped.planner import Targets, at, support
 from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.sim import equilibrium, mjx_adapter, plant, sensors
 from jaxbiped.sim.feed_forward import FeedForward
@@ -26,7 +26,17 @@ from jaxbiped.sim.rollout import Options, Sample, Walk, make_feed_forward, servo
 from jaxbiped.sim.scenario import Payload, Scenario, SensorFaults, Terrain
 from jaxbiped.sim.sensors import BOUNCE_PERIOD, Delay
 from jaxbiped.sim.servo import Reference
-from jaxbiped.sim.statistics import FALL_HEIGHT, FALL_TILT, FELL, LOADED, NONFINITE, OK, Statistics
+from jaxbiped.sim.statistics import (
+    FALL_HEIGHT,
+    FALL_TILT,
+    FELL,
+    LOADED,
+    NONFINITE,
+    OK,
+    TOUCHDOWN,
+    Statistics,
+    reach_margin,
+)
 
 IMPEDANCE = 0.9
 """MuJoCo's contact impedance, the same at all depths, so that a contact is a linear spring and damper."""
@@ -292,7 +302,7 @@ class _World:
     """Model and state of the simulation, and what each tick needs of the scenario as plain numbers."""
 
     def __init__(self, robot: RobotParams, scenario: Scenario, options: Options, qpos: np.ndarray):
-        self.options, self.scenario = options, scenario
+        self.robot, self.options, self.scenario = robot, options, scenario
         self.model = build_world(robot, scenario, options.dt)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = qpos
@@ -559,9 +569,7 @@ def _result(world: _World, pilot: _Pilot, log: _Log) -> Walk:
     n = int(failed[0]) + 1 if failed.size else status.size
     walked = -(-n // log.every)
     stats = _statistics(log, n, int(status[n - 1]), options)
-    legs, _ = pilot.asked(np.arange(walked if not failed.size else walked - 1))
-    beyond = float((legs != 0).any(axis=1).sum() * options.control_dt)
-    stats["out_of_reach_time"] = np.array(beyond)
+    stats |= _margins(world, pilot, log, np.arange(walked if not failed.size else walked - 1))
     kept = Statistics(**{name: _device(value) for name, value in stats.items()})
     if options.trace_every == 0:
         return Walk(kept, None, pilot.state)
@@ -582,12 +590,17 @@ def _statistics(log: _Log, n: int, status: int, options: Options) -> dict[str, n
     since = np.maximum.accumulate(np.where(landed, np.arange(n)[:, None], 0), axis=0)
     anchor = np.take_along_axis(place, since[..., None], axis=0)
     slip = np.where(loaded, np.linalg.norm(place - anchor, axis=-1), 0.0)
+    touchdown, impulse = _touchdowns(vertical, landed, since, options.dt)
     return {
         "status": np.array(status, np.int32),
         "end_time": np.array(n * options.dt),
         "peak_roll_pitch": np.nanmax(tilt, axis=0),
         "peak_foot_force": np.nanmax(vertical, axis=0),
         "peak_slip": np.nanmax(slip, axis=0),
+        "peak_touchdown_force": touchdown.max(axis=0),
+        "peak_touchdown_impulse": impulse.max(axis=0),
+        "touch_time": np.where(since[-1] > 0, (since[-1] + 1) * options.dt, -1.0),
+        "touch_impulse": impulse[-1],
         "anchor": anchor[-1],
         "loaded": loaded[-1],
         "p_world_trunk": log.xpos[n - 1, TRUNK],
@@ -595,13 +608,48 @@ def _statistics(log: _Log, n: int, status: int, options: Options) -> dict[str, n
     }
 
 
+def _touchdowns(
+    vertical: np.ndarray, landed: np.ndarray, since: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertical force while a foot touches down, else 0, and its integral since the foot was loaded (n, 2)."""
+    age = np.arange(len(vertical))[:, None] - since
+    ever = np.maximum.accumulate(landed, axis=0)
+    force = np.where(ever & (age * dt < TOUCHDOWN - 1e-9), np.nan_to_num(vertical), 0.0)
+    total = np.cumsum(force * dt, axis=0)
+    before = np.take_along_axis(total - force * dt, since, axis=0)
+    return force, np.where(ever, total - before, 0.0)
+
+
+def _margins(world: _World, pilot: _Pilot, log: _Log, ticks: np.ndarray) -> dict[str, Any]:
+    """What the control ticks `ticks` leave, by the definitions of `statistics.update_margins`."""
+    rows = (ticks + 1) * log.every - 1
+    loaded = log.force[rows, :, 2].reshape(-1, 2, 4).sum(axis=2) > LOADED
+    corner = _device(log.site[rows][:, _CORNER_SITES][..., :2])
+    active, zmp = jnp.repeat(jnp.asarray(loaded), 4, axis=1), _device(_zmps(log, rows))
+    legs, asked = pilot.asked(ticks)
+    return {
+        "zmp_margin": jnp.min(jax.vmap(support.margin)(corner, active, zmp), initial=jnp.inf),
+        "reach_margin": jnp.min(
+            jax.vmap(reach_margin, (None, 0))(world.robot, asked.position), initial=jnp.inf
+        ),
+        "out_of_reach_time": (legs != 0).any(axis=1).sum() * world.options.control_dt,
+    }
+
+
+def _zmps(log: _Log, rows: np.ndarray) -> np.ndarray:
+    """Centre of pressure (n, 2) at physics ticks `rows`, the last one while the robot is in the air [m]."""
+    zmp: list[np.ndarray] = []
+    corner, force = log.site[rows][:, _CORNER_SITES], log.force[rows]
+    for place, push, trunk in zip(corner, force, log.xpos[rows, TRUNK], strict=True):
+        zmp.append(_zmp(push[:, 2], place, zmp[-1] if zmp else None, trunk))
+    return np.reshape(zmp, (-1, 2))
+
+
 def _trace(world: _World, pilot: _Pilot, log: _Log, ticks: np.ndarray) -> Sample:
     """A sample after each of the control ticks `ticks`."""
     rows = (ticks + 1) * log.every - 1
     corner, force = log.site[rows][:, _CORNER_SITES], log.force[rows]
-    faults, zmp = world.scenario.sensors, []
-    for place, push, trunk in zip(corner, force, log.xpos[rows, TRUNK], strict=True):
-        zmp.append(_zmp(push[:, 2], place, zmp[-1] if zmp else None, trunk))
+    faults = world.scenario.sensors
     gap = (corner[..., 2] - heights(world.scenario.terrain, corner[..., :2])).reshape(-1, 2, 4)
     fields = {
         "time": (ticks + 1) * world.options.control_dt,
@@ -609,7 +657,7 @@ def _trace(world: _World, pilot: _Pilot, log: _Log, ticks: np.ndarray) -> Sample
         "roll_pitch_yaw": _roll_pitch_yaw(log.xmat[rows, TRUNK]),
         "p_world_sole": log.site[rows][:, _SOLE_SITES],
         "foot_force": force.reshape(-1, 2, 4, 3).sum(axis=2),
-        "zmp_world": np.reshape(zmp, (-1, 2)),
+        "zmp_world": _zmps(log, rows),
         "switch": (gap <= np.asarray(faults.delta_z)) & (np.asarray(faults.stuck_open) < 0.5),
         "torque": log.torque[ticks].reshape(-1, 2, 6),
         "qpos": log.qpos[ticks],

@@ -247,7 +247,16 @@ def _control_tick(
     sensed, delay = _sense(world, options, physics, body, touch, zmp, time, state.delay)
     controller_state, targets = controller.step(state.controller, sensed)
     reference, status = servo_reference(world.robot, targets, torque)
-    physics = _count_out_of_reach(physics, status, options)
+    stats = statistics.update_margins(
+        physics.statistics,
+        world.robot,
+        touch,
+        zmp,
+        targets.position,
+        jnp.any(status != 0),
+        options.control_dt,
+    )
+    physics = eqx.tree_at(lambda p: p.statistics, physics, stats)
     new = State(physics, controller_state, reference, delay, zmp)
     new = _frozen(state.physics.statistics.status != statistics.OK, state, new)
     return new, _sample(world, new, body, touch, applied, targets, time)
@@ -316,7 +325,7 @@ def _physics_tick(
         qvel=qvel,
         integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
         switches=sensors.read_switches(state.switches, touch.gap, time, dt, world.scenario.sensors),
-        statistics=statistics.update(state.statistics, body, touch, time + dt),
+        statistics=statistics.update(state.statistics, body, touch, time + dt, dt),
     )
     return _frozen(state.statistics.status != statistics.OK, state, new), (body, touch, torque)
 
@@ -336,12 +345,6 @@ def servo_reference(
 
     angle, speed, status = jax.jvp(angles, (targets.position,), (targets.velocity,), has_aux=True)
     return Reference(angle, speed, torque.at(targets.time)), status
-
-
-def _count_out_of_reach(physics: Physics, status: Int[Array, "2"], options: Options) -> Physics:
-    stats = physics.statistics
-    more = stats.out_of_reach_time + jnp.where(jnp.any(status != 0), options.control_dt, 0.0)
-    return eqx.tree_at(lambda p: p.statistics.out_of_reach_time, physics, more)
 
 
 def _sample(

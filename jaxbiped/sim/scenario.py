@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -11,6 +12,9 @@ from jaxbiped.planner import Gait, at
 from jaxbiped.robot import RobotParams
 
 Scalar = Float[Array, "*batch"]
+
+PAD_BEHIND, PAD_AROUND = 0.115, 0.02
+"""How far a pad under a foothold reaches behind the heel, and beyond the other edges of the sole [m]."""
 
 
 def _array(value: Any) -> Any:
@@ -161,16 +165,14 @@ class Scenario(eqx.Module):
     def with_obstacle(self, robot: RobotParams, gait: Gait, step: int, height: float) -> "Scenario":
         """Put a pad under the foothold of step number `step` (0 is the first), in that foot's lane only.
 
-        The pad reaches 115 mm behind the heel, since a foot that touches early lands short, and 20 mm beyond the
-        other edges. A negative height [m] makes a hole.
+        The pad reaches PAD_BEHIND behind the heel, since a foot that touches early lands short, and PAD_AROUND beyond
+        the other edges. A negative height [m] makes a hole.
+
+        Raises:
+            ValueError: if the gait has no such step, or there is no room for another rectangle.
         """
-        if not 0 <= step < gait.timing.n_steps:
-            raise ValueError(f"step: got {step}, allowed: 0 to {gait.timing.n_steps - 1}")
-        landed = at(gait, gait.timing.touchdown(step))
-        foot = int(landed.phase.swing)
-        sole = np.asarray(landed.position.sole[foot, :2]) + np.asarray(robot.p_sole_corner[foot, :, :2])
-        (x_heel, y_low), (x_toe, y_high) = sole.min(axis=0).tolist(), sole.max(axis=0).tolist()
-        return self.with_rectangle((x_heel - 0.115, y_low - 0.02), (x_toe + 0.02, y_high + 0.02), height)
+        lower, upper = pad_under(robot, gait, step)
+        return self.with_rectangle(tuple(lower.tolist()), tuple(upper.tolist()), height)
 
     def with_payload(self, mass: float, time: float) -> "Scenario":
         """Attach a load [kg] to the front of the trunk at a time [s] since the start of the walk."""
@@ -189,3 +191,23 @@ class Scenario(eqx.Module):
         if not friction > 0.0:
             raise ValueError(f"friction: got {friction:g}, allowed: > 0")
         return eqx.tree_at(lambda s: s.ground.friction, self, _array(friction))
+
+
+def pad_under(robot: RobotParams, gait: Gait, step: int) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest corner (x, y) [m] of the pad that `Scenario.with_obstacle` puts under a foothold.
+
+    Raises:
+        ValueError: if the gait has no such step.
+    """
+    if not 0 <= step < gait.timing.n_steps:
+        raise ValueError(f"step: got {step}, allowed: 0 to {gait.timing.n_steps - 1}")
+    foot, sole = jax.tree.map(np.asarray, _foothold(gait, jnp.asarray(step)))
+    corners = sole[int(foot), :2] + np.asarray(robot.p_sole_corner[int(foot), :, :2])
+    return corners.min(axis=0) - [PAD_BEHIND, PAD_AROUND], corners.max(axis=0) + PAD_AROUND
+
+
+@eqx.filter_jit
+def _foothold(gait: Any, step: Int[Array, ""]) -> tuple[Int[Array, ""], Float[Array, "2 3"]]:
+    """The foot that lands in a step, and both soles then."""
+    landed = at(gait, gait.timing.touchdown(step))
+    return landed.phase.swing, landed.position.sole

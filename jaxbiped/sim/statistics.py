@@ -4,6 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbiped.kinematics import leg
+from jaxbiped.planner import TaskSpace, support
+from jaxbiped.robot import RobotParams
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.sensors import roll_pitch_yaw
@@ -16,6 +19,8 @@ FALL_HEIGHT = 0.6
 """Height of the pelvis over the lower foot, as a share of that at the start, below which it counts as fallen."""
 LOADED = 50.0
 """Vertical force over which a foot counts as loaded [N]."""
+TOUCHDOWN = 0.1
+"""For how long after it was loaded a foot is touching down [s]."""
 
 
 class Statistics(eqx.Module):
@@ -31,6 +36,19 @@ class Statistics(eqx.Module):
     """Largest vertical force on each foot [N]."""
     peak_slip: Float[Array, "2"]
     """Largest horizontal distance of each sole from where it was loaded last [m]."""
+    peak_touchdown_force: Float[Array, "2"]
+    """Largest vertical force on each foot within TOUCHDOWN after it was loaded [N]."""
+    peak_touchdown_impulse: Float[Array, "2"]
+    """Largest integral of that force over one touchdown [N s]."""
+    zmp_margin: Float[Array, ""]
+    """Smallest distance of the centre of pressure from the edge of the soles of the loaded feet, seen from above [m];
+    0 on an edge; at control ticks."""
+    reach_margin: Float[Array, ""]
+    """By how much the most stretched leg asked for stayed below the longest one, negative beyond it [m]."""
+    touch_time: Float[Array, "2"]
+    """When each foot was loaded last [s]; -1 at the start."""
+    touch_impulse: Float[Array, "2"]
+    """Integral of the vertical force over the touchdown of each foot so far [N s]."""
     anchor: Float[Array, "2 2"]
     """Where each foot was when it was loaded last [m]."""
     loaded: Bool[Array, "2"]
@@ -52,6 +70,12 @@ def init(body: BodyMotion) -> Statistics:
         peak_roll_pitch=jnp.zeros(2, zero.dtype),
         peak_foot_force=jnp.zeros(2, zero.dtype),
         peak_slip=jnp.zeros(2, zero.dtype),
+        peak_touchdown_force=jnp.zeros(2, zero.dtype),
+        peak_touchdown_impulse=jnp.zeros(2, zero.dtype),
+        zmp_margin=zero + jnp.inf,
+        reach_margin=zero + jnp.inf,
+        touch_time=jnp.full(2, -1.0, zero.dtype),
+        touch_impulse=jnp.zeros(2, zero.dtype),
         anchor=body.p_world_foot[:, :2],
         loaded=jnp.ones(2, bool),
         out_of_reach_time=zero,
@@ -60,12 +84,18 @@ def init(body: BodyMotion) -> Statistics:
     )
 
 
-def update(stats: Statistics, body: BodyMotion, contact: Contact, time: Float[Array, ""]) -> Statistics:
-    """After one physics tick that ended at `time` [s], from the body and contact at its start."""
+def update(
+    stats: Statistics, body: BodyMotion, contact: Contact, time: Float[Array, ""], dt: float
+) -> Statistics:
+    """After one physics tick of `dt` that ended at `time` [s], from the body and contact at its start."""
     vertical = contact.force[..., 2].sum(axis=1)
     loaded = vertical > LOADED
+    landed = loaded & ~stats.loaded
     place = body.p_world_foot[:, :2]
-    anchor = jnp.where((loaded & ~stats.loaded)[:, None], place, stats.anchor)
+    anchor = jnp.where(landed[:, None], place, stats.anchor)
+    touch_time = jnp.where(landed, time, stats.touch_time)
+    force = jnp.where((touch_time >= 0.0) & (time - touch_time < TOUCHDOWN), vertical, 0.0)
+    impulse = jnp.where(landed, 0.0, stats.touch_impulse) + dt * force
     slip = jnp.where(loaded, jnp.sqrt(jnp.sum((place - anchor) ** 2, axis=1) + 1e-18), 0.0)
     tilt = jnp.abs(roll_pitch_yaw(body.rot_world_trunk)[:2])
     low = body.p_world_trunk[2] - body.p_world_foot[:, 2].min() < FALL_HEIGHT * stats.pelvis_height
@@ -77,9 +107,56 @@ def update(stats: Statistics, body: BodyMotion, contact: Contact, time: Float[Ar
         peak_roll_pitch=jnp.maximum(stats.peak_roll_pitch, tilt),
         peak_foot_force=jnp.maximum(stats.peak_foot_force, vertical),
         peak_slip=jnp.maximum(stats.peak_slip, slip),
+        peak_touchdown_force=jnp.maximum(stats.peak_touchdown_force, force),
+        peak_touchdown_impulse=jnp.maximum(stats.peak_touchdown_impulse, impulse),
+        zmp_margin=stats.zmp_margin,
+        reach_margin=stats.reach_margin,
+        touch_time=touch_time,
+        touch_impulse=impulse,
         anchor=anchor,
         loaded=loaded,
         out_of_reach_time=stats.out_of_reach_time,
         p_world_trunk=body.p_world_trunk,
         pelvis_height=stats.pelvis_height,
     )
+
+
+def update_margins(
+    stats: Statistics,
+    robot: RobotParams,
+    contact: Contact,
+    zmp: Float[Array, "2"],
+    asked: TaskSpace,
+    out_of_reach: Bool[Array, ""],
+    dt: float,
+) -> Statistics:
+    """After one control tick of `dt` [s]: what the centre of pressure and the targets asked for leave.
+
+    Args:
+        stats: so far.
+        robot: nominal.
+        contact: of the last physics tick.
+        zmp: centre of pressure [m].
+        asked: targets of this tick.
+        out_of_reach: whether inverse kinematics had to move them.
+        dt: [s].
+    """
+    inside = support.margin(contact.p_world_corner[..., :2].reshape(8, 2), jnp.repeat(stats.loaded, 4), zmp)
+    reach = reach_margin(robot, asked)
+    return eqx.tree_at(
+        lambda s: (s.zmp_margin, s.reach_margin, s.out_of_reach_time),
+        stats,
+        (
+            jnp.minimum(stats.zmp_margin, inside),
+            jnp.minimum(stats.reach_margin, reach),
+            stats.out_of_reach_time + jnp.where(out_of_reach, dt, 0.0),
+        ),
+    )
+
+
+def reach_margin(robot: RobotParams, asked: TaskSpace) -> Float[Array, ""]:
+    """How much longer than asked the more stretched leg could be, with level soles [m]."""
+    up = jnp.zeros(3, asked.sole.dtype).at[2].set(robot.ankle_height)
+    ankle = asked.sole - asked.pelvis + up
+    longest = jnp.stack([leg.reach(robot, side)[1] for side in (0, 1)])
+    return jnp.min(longest - jnp.sqrt(jnp.sum((ankle - robot.p_pelvis_hip) ** 2, axis=1)))

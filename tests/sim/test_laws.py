@@ -165,7 +165,7 @@ def test_normal_force_is_hunt_and_crossleys(x64):
     speeds[7:11, 2] = [-1.0, -0.1, 0.1, 0.3]
     got = np.asarray(touching(params, depths, speeds, scene).force[..., 2])
     k = float(params.total_mass) * 9.81 / (8 * 3e-4)
-    wanted = k * np.maximum(depths, 0.0) * np.maximum(0.0, 1.0 - 5.0 * speeds[:, 2])
+    wanted = k * np.maximum(depths, 0.0) * np.maximum(0.0, 1.0 - 10.0 * speeds[:, 2])
     np.testing.assert_allclose(got, np.broadcast_to(wanted[:, None, None], got.shape), atol=1e-6)
     assert got[5].sum() == pytest.approx(
         float(params.total_mass) * 9.81
@@ -336,7 +336,7 @@ class Player(Controller):
     gait: Any
 
     def __init__(self, gait: Any):
-        self.gait, self.landing = gait, None
+        self.gait, self.landing, self.payload = gait, None, None
 
 
 def walk64(one: Any, model: Any, gait: Any, scene: Any, duration: float, options: Any) -> Any:

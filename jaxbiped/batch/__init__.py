@@ -1,0 +1,30 @@
+"""The batch tester: experiments, workers, and a results table that survives anything."""
+
+from jaxbiped.batch.draws import Choice, Normal, Uniform, draw, grid
+from jaxbiped.batch.experiment import Experiment
+from jaxbiped.batch.inputs import INPUTS, NEVER, height_column, scenarios_of, steps_of
+from jaxbiped.batch.run import Plan, Progress, plan, run, show
+from jaxbiped.batch.store import StoreError, open_table
+from jaxbiped.batch.workers import WorkersError
+
+__all__ = [
+    "INPUTS",
+    "NEVER",
+    "Choice",
+    "Experiment",
+    "Normal",
+    "Plan",
+    "Progress",
+    "StoreError",
+    "Uniform",
+    "WorkersError",
+    "draw",
+    "grid",
+    "height_column",
+    "open_table",
+    "plan",
+    "run",
+    "scenarios_of",
+    "show",
+    "steps_of",
+]

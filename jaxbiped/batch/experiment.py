@@ -1,0 +1,182 @@
+"""What is to be walked: a robot, arms of adaptation, scenarios; every arm meets every scenario."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from jaxbiped.adapt import Controller
+from jaxbiped.batch import inputs, records
+from jaxbiped.robot import RobotParams
+from jaxbiped.score import watch_time
+from jaxbiped.sim import Options
+
+MOST_LANES = 128
+"""Walks in a chunk where nobody says otherwise: more are no faster on a core."""
+LANE_STEP = 8
+"""Chunks are a multiple of this, so that grids of nearly the same size share what was compiled."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A robot, named controllers for it, and the scenarios all of them meet (paired).
+
+    Raises:
+        ValueError: naming what was got and what is allowed.
+    """
+
+    robot: RobotParams
+    """As the planner knows it."""
+    arms: Mapping[str, Controller]
+    """Controllers by name. Pads lie under the footholds of the first one's gait."""
+    scenarios: pl.DataFrame
+    """One row for each scenario, see `inputs`; from `grid`, `draw` or by hand."""
+    options: Options = field(default_factory=Options)
+    """Of the simulation; noise and delay are switched on where a scenario has some."""
+    duration: float | None = None
+    """How long every walk is simulated [s]; None: as long as the arm needs, see `durations`."""
+    seed: int = 0
+    """Of the sensors' noise."""
+    batch: int | None = None
+    """Walks in a chunk; None: up to MOST_LANES."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be walked."""
+        if not self.arms:
+            raise ValueError("arms: got none, allowed: at least one")
+        if self.duration is not None and not 0.0 < self.duration <= 3600.0:
+            raise ValueError(f"duration: got {self.duration:g} s, allowed: > 0 and <= 3600 s")
+        if self.batch is not None and not 1 <= self.batch <= 65536:
+            raise ValueError(f"batch: got {self.batch} walks, allowed: 1 to 65536")
+        if self.options.trace_every:
+            raise ValueError(
+                f"trace_every: got {self.options.trace_every}, allowed: 0; replay a row for its trace"
+            )
+        if not 0 <= self.seed < 2**31:
+            raise ValueError(f"seed: got {self.seed}, allowed: 0 to {2**31 - 1}")
+        inputs.require_apart(self.table, self.pads)
+
+    @cached_property
+    def table(self) -> pl.DataFrame:
+        """The scenarios with every input."""
+        return inputs.complete(self.scenarios, self.seed)
+
+    @cached_property
+    def pads(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Smallest and largest corner of the pad under every step that has a column."""
+        first = next(iter(self.arms.values()))
+        return [
+            inputs.pad_under(self.robot, first.gait, step) for step in inputs.steps_of(self.table.columns)
+        ]
+
+    @cached_property
+    def simulation(self) -> Options:
+        """The options, with room for what the scenarios bring."""
+        given, delay = self.options, float(np.max(self.table["delay_s"].to_numpy()))
+        noise = bool((self.table["force_noise_N"] > 0.0).any() or (self.table["angle_noise_rad"] > 0.0).any())
+        return Options(
+            dt=given.dt,
+            control_every=given.control_every,
+            feed_forward=given.feed_forward,
+            payload_model=given.payload_model,
+            contact=given.contact,
+            noise=given.noise or noise,
+            delay_room=max(given.delay_room, int(np.ceil(delay / given.control_dt - 1e-9))),
+        )
+
+    @cached_property
+    def durations(self) -> dict[str, float]:
+        """How long the walks of every arm are simulated [s]: the plan, and the longest recovery where loads come."""
+        if self.duration is not None:
+            return dict.fromkeys(self.arms, self.duration)
+        loaded = bool(((self.table["load_kg"] > 0.0) & (self.table["load_time_s"] < inputs.NEVER)).any())
+        needed = {name: watch_time(arm, loaded) for name, arm in self.arms.items()}
+        # Arms with the same stages share what is compiled, if they are walked for the same time.
+        alike = {name: (arm.payload is None, arm.landing is None) for name, arm in self.arms.items()}
+        return {
+            name: round(max(t for other, t in needed.items() if alike[other] == alike[name]), 3)
+            for name in needed
+        }
+
+    @cached_property
+    def lanes(self) -> int:
+        """Walks in a chunk, the last one padded: it depends on the experiment only, never on the workers."""
+        if self.batch is not None:
+            return self.batch
+        chunks = -(-self.table.height // MOST_LANES)
+        return -(-self.table.height // (chunks * LANE_STEP)) * LANE_STEP
+
+    @cached_property
+    def chunks(self) -> list["Chunk"]:
+        """All chunks, in the order of the table's rows."""
+        n, found = self.table.height, []
+        for index, arm in enumerate(self.arms):
+            for start in range(0, n, self.lanes):
+                stop = min(start + self.lanes, n)
+                found.append(Chunk(len(found), arm, start, stop, index * n))
+        return found
+
+    @property
+    def rows(self) -> int:
+        """Of the results table."""
+        return len(self.arms) * self.table.height
+
+    @property
+    def ticks(self) -> int:
+        """Physics ticks of all walks."""
+        each = sum(round(self.durations[name] / self.simulation.dt) for name in self.arms)
+        return each * self.table.height
+
+    @cached_property
+    def resolved(self) -> dict[str, Any]:
+        """Everything that decides the table, for JSON; the scenarios, in a file of their own, by their hash."""
+        return {
+            "robot": records.to_json(self.robot),
+            "arms": {name: records.to_json(arm) for name, arm in self.arms.items()},
+            "options": records.to_json(self.simulation),
+            "durations_s": self.durations,
+            "lanes": self.lanes,
+            "scenarios": {
+                "rows": self.table.height,
+                "columns": self.table.columns,
+                "sha256": _hash(self.table),
+            },
+        }
+
+    @classmethod
+    def from_resolved(cls, resolved: Mapping[str, Any], scenarios: pl.DataFrame) -> "Experiment":
+        """The experiment that was written as `resolved`, with its scenarios."""
+        arms = {name: records.from_json(arm) for name, arm in resolved["arms"].items()}
+        made = cls(
+            records.from_json(resolved["robot"]),
+            arms,
+            scenarios,
+            records.from_json(resolved["options"]),
+            batch=resolved["lanes"],
+        )
+        made.__dict__["durations"] = dict(resolved["durations_s"])  # of a cached property: as they were
+        return made
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Walks of one arm that are simulated at once: scenarios `start` to `stop`."""
+
+    number: int
+    arm: str
+    start: int
+    stop: int
+    first_row: int
+    """Row of the results table of this arm's first scenario."""
+
+
+def _hash(table: pl.DataFrame) -> str:
+    digest = hashlib.sha256(json.dumps(table.columns).encode())
+    for name in table.columns:
+        digest.update(np.ascontiguousarray(table[name].to_numpy()).tobytes())
+    return digest.hexdigest()

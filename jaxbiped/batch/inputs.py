@@ -1,0 +1,217 @@
+"""What a scenario table may say: one column for each number of a scenario, its unit in its name.
+
+A table is a polars frame with one row for each scenario; a column that is not given has its default everywhere.
+`step_K_height_m` is the height of a pad under the foothold of step K, negative for a hole.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from jaxbiped.planner import Gait
+from jaxbiped.robot import RobotParams
+from jaxbiped.sim import Scenario
+from jaxbiped.sim.scenario import (
+    Ground,
+    ModelErrors,
+    Payload,
+    Push,
+    SensorFaults,
+    Terrain,
+    pad_under,
+)
+
+NEVER = 1e6
+"""A time after every walk [s]."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """One number of a scenario."""
+
+    default: float
+    low: float
+    """Smallest value allowed."""
+    high: float
+    """Largest value allowed."""
+    what: str
+
+
+INPUTS: dict[str, Input] = {
+    "load_kg": Input(0.0, 0.0, 200.0, "payload; 0 for none"),
+    "load_time_s": Input(NEVER, 0.0, NEVER, "when it is attached, since the start of the walk"),
+    "load_x_m": Input(0.2, -1.0, 1.0, "its centre forward of the pelvis"),
+    "load_y_m": Input(0.0, -1.0, 1.0, "its centre to the left of the pelvis"),
+    "load_z_m": Input(0.25, -1.0, 2.0, "its centre above the pelvis"),
+    "load_size_m": Input(0.2, 0.01, 1.0, "edge of its cube"),
+    "friction": Input(0.8, 0.01, 5.0, "Coulomb coefficient of the ground"),
+    "sinkage_m": Input(3e-4, 5e-5, 5e-3, "how deep the standing robot sinks in: compliance of the ground"),
+    "damping_s_per_m": Input(10.0, 0.0, 50.0, "damping of the ground"),
+    "slip_speed_m_per_s": Input(0.01, 1e-3, 0.1, "sliding speed at which friction reaches 71 % of Coulomb's"),
+    "trunk_mass_scale": Input(1.0, 0.5, 2.0, "factor on the mass and inertia of the trunk"),
+    "leg_mass_scale": Input(1.0, 0.5, 2.0, "factor on the masses and inertias of the legs"),
+    "com_x_m": Input(0.0, -0.1, 0.1, "shift of the trunk's centre of mass forward"),
+    "com_y_m": Input(0.0, -0.1, 0.1, "shift of the trunk's centre of mass to the left"),
+    "com_z_m": Input(0.0, -0.3, 0.3, "shift of the trunk's centre of mass upward"),
+    "gain_scale": Input(1.0, 0.1, 5.0, "factor on the gains of all servos"),
+    "delta_z_m": Input(0.01, 0.0, 0.05, "gap at which the contact switches close"),
+    "bounce_s": Input(0.0, 0.0, 0.1, "for how long a closing switch bounces"),
+    "delay_s": Input(0.0, 0.0, 0.05, "how late every reading arrives"),
+    "force_noise_N": Input(0.0, 0.0, 200.0, "standard deviation of every corner force"),
+    "angle_noise_rad": Input(0.0, 0.0, 0.1, "standard deviation of joint angles, roll and pitch"),
+    "push_x_N": Input(0.0, -5000.0, 5000.0, "push on the trunk, forward"),
+    "push_y_N": Input(0.0, -5000.0, 5000.0, "push on the trunk, to the left"),
+    "push_z_N": Input(0.0, -5000.0, 5000.0, "push on the trunk, upward"),
+    "push_time_s": Input(NEVER, 0.0, NEVER, "when the push begins"),
+    "push_length_s": Input(0.0, 0.0, 10.0, "how long it lasts"),
+}
+SEED = "seed"
+"""Column of the sensors' noise; whole numbers."""
+HEIGHT = Input(0.0, -0.2, 0.2, "height of a pad under the foothold of a step, negative for a hole")
+_HEIGHT_NAME = re.compile(r"step_(0|[1-9]\d*)_height_m")
+
+
+def height_column(step: int) -> str:
+    """Name of the column with the height under the foothold of a step, 0 for the first."""
+    return f"step_{step}_height_m"
+
+
+def steps_of(columns: list[str]) -> list[int]:
+    """The steps whose footholds have a column, in order."""
+    found = [_HEIGHT_NAME.fullmatch(name) for name in columns]
+    return sorted(int(match[1]) for match in found if match)
+
+
+def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
+    """Check a scenario table and add every column it leaves out, in one order.
+
+    Args:
+        scenarios: one row for each scenario.
+        seed: of the sensors' noise, where the table has no column `seed`: every scenario draws its own from it.
+
+    Raises:
+        ValueError: naming the column, what was got and what is allowed.
+    """
+    if scenarios.height == 0:
+        raise ValueError("scenarios: got none, allowed: at least one row")
+    steps = steps_of(scenarios.columns)
+    known = {**INPUTS, **{height_column(step): HEIGHT for step in steps}}
+    for name in scenarios.columns:
+        if name not in known and name != SEED:
+            raise ValueError(f"scenarios: got column '{name}', allowed: {', '.join([*known, SEED])}")
+    columns = [
+        _column(scenarios, name, one) if name in scenarios.columns else pl.lit(one.default).alias(name)
+        for name, one in known.items()
+    ]
+    return scenarios.select(*columns, _seeds(scenarios, seed))
+
+
+def _column(scenarios: pl.DataFrame, name: str, one: Input) -> pl.Series:
+    try:
+        values = scenarios[name].cast(pl.Float64)
+    except pl.exceptions.PolarsError:
+        raise ValueError(f"{name}: got {scenarios[name].dtype}, allowed: numbers") from None
+    array = values.to_numpy()
+    outside = ~((array >= one.low) & (array <= one.high))
+    if outside.any():
+        worst = array[outside][0]
+        raise ValueError(
+            f"{name}: got {worst:g} in row {int(np.flatnonzero(outside)[0])}, allowed: {one.low:g} to {one.high:g}"
+        )
+    return values
+
+
+def _seeds(scenarios: pl.DataFrame, seed: int) -> pl.Series:
+    if SEED in scenarios.columns:
+        given = scenarios[SEED]
+        whole = given.dtype.is_integer() and given.null_count() == 0
+        if not whole or not given.is_between(0, 2**31 - 1).all():
+            raise ValueError(f"{SEED}: got {given.dtype}, allowed: whole numbers from 0 to {2**31 - 1}")
+        return given.cast(pl.Int64)
+    drawn = np.random.default_rng(seed).integers(0, 2**31 - 1, scenarios.height)
+    return pl.Series(SEED, drawn, pl.Int64)
+
+
+def pads(robot: RobotParams, gait: Gait, steps: list[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Smallest and largest corner (x, y) [m] of the pads under the footholds of these steps.
+
+    Raises:
+        ValueError: if the gait has no such step.
+    """
+    return [pad_under(robot, gait, step) for step in steps]
+
+
+def require_apart(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Refuse pads that overlap: their heights would add up to something nobody asked for.
+
+    Raises:
+        ValueError: naming the two steps.
+    """
+    steps = steps_of(table.columns)
+    for i, a in enumerate(steps):
+        for j, b in enumerate(steps[:i]):
+            both = table.filter((pl.col(height_column(a)) != 0.0) & (pl.col(height_column(b)) != 0.0))
+            touching = np.all(places[i][0] < places[j][1]) and np.all(places[j][0] < places[i][1])
+            if touching and both.height:
+                raise ValueError(
+                    f"scenarios: got pads under steps {b} and {a} that overlap in this gait, allowed: pads apart"
+                )
+
+
+def scenarios_of(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]]) -> Scenario:
+    """A batch of scenarios, one for each row of a complete table, with pads at `places`."""
+    n = table.height
+    value = {name: table[name].to_numpy() for name in INPUTS}
+
+    def vector(*names: str) -> np.ndarray:
+        return np.stack([value[name] for name in names], axis=1)
+
+    def everywhere(name: str, *shape: int) -> np.ndarray:
+        return np.broadcast_to(value[name].reshape(n, *(1 for _ in shape)), (n, *shape))
+
+    return Scenario(
+        terrain=_terrain(table, places),
+        payload=Payload(
+            mass=value["load_kg"],
+            time=value["load_time_s"],
+            place=vector("load_x_m", "load_y_m", "load_z_m"),
+            size=value["load_size_m"],
+        ),
+        push=Push(
+            force=vector("push_x_N", "push_y_N", "push_z_N"),
+            start=value["push_time_s"],
+            length=value["push_length_s"],
+        ),
+        ground=Ground(
+            sinkage=value["sinkage_m"],
+            damping=value["damping_s_per_m"],
+            friction=value["friction"],
+            slip_speed=value["slip_speed_m_per_s"],
+        ),
+        errors=ModelErrors(
+            mass_scale=vector("trunk_mass_scale", *["leg_mass_scale"] * 12),
+            trunk_com_offset=vector("com_x_m", "com_y_m", "com_z_m"),
+            gain_scale=everywhere("gain_scale", 2, 6),
+        ),
+        sensors=SensorFaults(
+            delta_z=everywhere("delta_z_m", 2, 4),
+            stuck_open=np.zeros((n, 2, 4)),
+            bounce=value["bounce_s"],
+            delay=value["delay_s"],
+            force_noise=value["force_noise_N"],
+            angle_noise=value["angle_noise_rad"],
+            seed=table[SEED].to_numpy(),
+        ),
+    )
+
+
+def _terrain(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]]) -> Terrain:
+    n, steps = table.height, steps_of(table.columns)
+    if not steps:
+        return Terrain(np.zeros((n, 1, 2)), np.zeros((n, 1, 2)), np.zeros((n, 1)))
+    lower, upper = (np.stack([place[i] for place in places]) for i in (0, 1))
+    heights = np.stack([table[height_column(step)].to_numpy() for step in steps], axis=1)
+    everywhere = [np.broadcast_to(corner, (n, *corner.shape)) for corner in (lower, upper)]
+    return Terrain(everywhere[0], everywhere[1], heights)

@@ -1,0 +1,117 @@
+"""One chunk of walks: from scenarios to rows of the results table."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+from jaxtyping import Array
+
+from jaxbiped.adapt import Controller
+from jaxbiped.batch import inputs
+from jaxbiped.batch.experiment import Chunk, Experiment
+from jaxbiped.robot import SIDE_NAMES, RobotParams
+from jaxbiped.score import STATUS_TEXT, judge
+from jaxbiped.sim import Options, Scenario, Walk, simulate
+from jaxbiped.sim.rollout import base_model, make_feed_forward
+
+Columns = dict[str, Array]
+
+
+def walk_chunk(experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
+    """Walk a chunk in this process; rows of the results table."""
+    rows = np.minimum(np.arange(chunk.start, chunk.start + experiment.lanes), chunk.stop - 1)
+    table = experiment.table[rows.tolist()]
+    batch = inputs.scenarios_of(table, experiment.pads)
+    one: Any = jax.tree.map(lambda leaf: leaf[0], batch)
+    options = experiment.simulation
+    outcome = _walk_batch(
+        experiment.robot,
+        base_model(experiment.robot, one, options),
+        experiment.arms[chunk.arm],
+        batch,
+        experiment.durations[chunk.arm],
+        options,
+    )
+    n = chunk.stop - chunk.start
+    outcome = {name: np.asarray(column)[:n] for name, column in outcome.items()}
+    return pl.concat([_identity(chunk), table[:n], outcome_frame(outcome)], how="horizontal")
+
+
+@eqx.filter_jit
+def _walk_batch(
+    robot: RobotParams,
+    model: Any,
+    controller: Controller,
+    batch: Scenario,
+    duration: float,
+    options: Options,
+) -> Columns:
+    torque = make_feed_forward(robot, controller, duration, options)
+
+    def one(scenario: Scenario) -> Columns:
+        walk = simulate(robot, model, controller, scenario, torque, duration, options)
+        return outcome_of(walk, controller, scenario)
+
+    return jax.vmap(one)(batch)
+
+
+def outcome_of(walk: Walk, controller: Controller, scenario: Scenario) -> Columns:
+    """What the table says of one walk, as numbers."""
+    s, verdict = walk.statistics, judge(walk, controller.gait, scenario)
+    payload = None if walk.controller is None else walk.controller.payload
+    none = jnp.zeros((), jnp.int32)
+    reflexes = none if payload is None else payload.reflexes
+    triggered = jnp.nan if payload is None else jnp.where(reflexes > 0, payload.trigger_time, jnp.nan)
+    roll, pitch = jnp.rad2deg(s.peak_roll_pitch)
+    feet = {
+        "peak_force_{}_N": s.peak_foot_force,
+        "touchdown_force_{}_N": s.peak_touchdown_force,
+        "touchdown_impulse_{}_Ns": s.peak_touchdown_impulse,
+        "slip_{}_m": s.peak_slip,
+    }
+    return {
+        "status": verdict.status,
+        "success": verdict.success,
+        "finished": verdict.finished,
+        "end_time_s": s.end_time,
+        "reflexes": reflexes,
+        "trigger_s": triggered + jnp.zeros_like(s.end_time),
+        "peak_roll_deg": roll,
+        "peak_pitch_deg": pitch,
+        **{name.format(side): both[i] for name, both in feet.items() for i, side in enumerate(SIDE_NAMES)},
+        "zmp_margin_m": s.zmp_margin,
+        "reach_margin_m": s.reach_margin,
+        "out_of_reach_s": s.out_of_reach_time,
+        "missed": verdict.missed,
+        "x_m": s.p_world_trunk[0],
+        "y_m": s.p_world_trunk[1],
+    }
+
+
+def _identity(chunk: Chunk) -> pl.DataFrame:
+    scenario = np.arange(chunk.start, chunk.stop)
+    return pl.DataFrame(
+        {
+            "row": pl.Series(chunk.first_row + scenario, dtype=pl.Int64),
+            "arm": [chunk.arm] * len(scenario),
+            "scenario": pl.Series(scenario, dtype=pl.Int64),
+        }
+    )
+
+
+def outcome_frame(outcome: dict[str, np.ndarray]) -> pl.DataFrame:
+    """Columns of the outcome: whole numbers, flags, text for the status, float64 for all else."""
+    columns = {}
+    for name, values in outcome.items():
+        if name == "status":
+            columns[name] = pl.Series([STATUS_TEXT[i] for i in values], dtype=pl.String)
+        elif values.dtype.kind in "iu":
+            columns[name] = pl.Series(values, dtype=pl.Int64)
+        elif values.dtype.kind == "f":
+            columns[name] = pl.Series(values.astype(float))
+        else:
+            columns[name] = pl.Series(values)
+    return pl.DataFrame(columns).with_columns(pl.col("trigger_s").fill_nan(None))

@@ -1,0 +1,97 @@
+"""What names on the command line stand for: gaits, simulations, arms of adaptation."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxbiped import adapt, planner, robot, sim
+from jaxbiped.commands.common import InputError
+
+GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
+OWN_GAIT = {"elkahlout": "cosine"}
+"""The gait of each robot's own paper, where it is not the polynomial one."""
+MOST_STEPS = 200
+OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = "off", "paper", "original", "modified", "repaired"
+LANDINGS = (OFF, PAPER, REPAIRED)
+REFLEXES = (OFF, ORIGINAL, MODIFIED, REPAIRED)
+
+
+def own_gait(params: robot.RobotParams) -> str:
+    """Name of the gait of the robot's own paper."""
+    return OWN_GAIT.get(params.name, "polynomial")
+
+
+def make_gait(params: robot.RobotParams, name: str, steps: int) -> Any:
+    """The preset gait of a robot."""
+    if name not in GAITS:
+        raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}")
+    if not 1 <= steps <= MOST_STEPS:
+        raise InputError(f"--steps: got {steps}, allowed: 1 to {MOST_STEPS}")
+    try:
+        return GAITS[name].preset(params, steps)
+    except planner.GaitError as error:
+        raise InputError(f"--robot, --gait: {error}") from None
+
+
+def simulation_options(params: robot.RobotParams, gait: Any) -> sim.Options:
+    """The thesis' own walk by its own means: no feed-forward, control every tick, trunk with load by Eqs. 3.8-3.10."""
+    thesis = params.name == "elkahlout" and isinstance(gait, planner.CosineGait)
+    return sim.Options(
+        control_every=1 if thesis else 4,
+        feed_forward=not thesis,
+        payload_model="thesis" if thesis else "exact",
+    )
+
+
+def clock_start(gait: Any) -> float:
+    """When the clock of loading times starts, since the start of the walk [s].
+
+    The thesis' time begins T_ini after the start of a cosine gait.
+    """
+    return float(gait.params.T_ini) if isinstance(gait, planner.CosineGait) else 0.0
+
+
+def landing_of(name: str, **parameters: Any) -> adapt.Landing | None:
+    """Parameters of the landing stage by the name of its arm."""
+    return None if name == OFF else getattr(adapt.Landing, name)(**parameters)
+
+
+def reflex_of(
+    name: str, params: robot.RobotParams, gait: Any, **parameters: Any
+) -> adapt.PayloadReflex | None:
+    """Parameters of the payload stage by the name of its arm."""
+    return None if name == OFF else getattr(adapt.PayloadReflex, name)(params, gait, **parameters)
+
+
+def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) -> adapt.Controller:
+    """A controller from a TOML file with the tables [landing] and [payload], either of which may be left out.
+
+    Each has `base`, the name of an arm, and any of the parameters of that stage.
+
+    Raises:
+        InputError: if the file cannot be read or says what cannot be meant.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{argument}: got '{path}' ({error}), allowed: a TOML file of an arm") from None
+    tables: dict[str, Any] = {name: data.get(name, {"base": OFF}) for name in ("landing", "payload")}
+    bases = {"landing": LANDINGS, "payload": REFLEXES}
+    if not set(data) & set(tables):
+        raise InputError(f"{argument}: got '{path}', allowed: a file with a table [landing] or [payload]")
+    for name, table in tables.items():
+        base = table.get("base") if isinstance(table, Mapping) else None
+        if base not in bases[name]:
+            raise InputError(
+                f"{argument}: got base {base!r} of [{name}] in '{path}', allowed: {', '.join(bases[name])}"
+            )
+    landing, payload = ({k: v for k, v in tables[name].items() if k != "base"} for name in tables)
+    try:
+        return adapt.Controller(
+            gait,
+            landing=landing_of(tables["landing"]["base"], **landing),
+            payload=reflex_of(tables["payload"]["base"], params, gait, **payload),
+        )
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{argument}: '{path}': {error}") from None

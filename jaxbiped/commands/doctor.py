@@ -1,0 +1,124 @@
+"""`jaxbiped doctor`: versions, device, and a short self-test; says what is wrong and how to mend it."""
+
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata, util
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbiped import kinematics, planner, robot
+
+PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars", "tyro")
+EXTRAS = {"matplotlib": "viz", "distributed": "cluster"}
+"""Packages of the extras, and which extra brings them."""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Look at this installation: versions, device, cache, a short self-test; say how to mend what is wrong."""
+
+    json: bool = False
+    """Print one JSON object as the last line."""
+
+
+def run(command: Doctor) -> dict[str, Any]:
+    """Carry out the command; returns what --json prints."""
+    versions = {name: metadata.version(name) for name in PACKAGES}
+    print(f"python {platform.python_version()} on {platform.system()} {platform.machine()}, {_cores()} cores")
+    print(", ".join(f"{name} {version}" for name, version in versions.items()))
+    found = [check() for check in CHECKS]
+    for name, ok, words in found:
+        print(f"{'ok  ' if ok else 'BAD '} {name}: {words}")
+    wrong = [name for name, ok, _ in found if not ok]
+    print("all well" if not wrong else f"to be mended: {', '.join(wrong)}")
+    checks = [{"name": name, "ok": ok, "says": words} for name, ok, words in found]
+    return {"ok": not wrong, "versions": versions, "checks": checks}
+
+
+Finding = tuple[str, bool, str]
+
+
+def _device() -> Finding:
+    devices = jax.devices()
+    kinds = ", ".join(f"{d.platform} {d.device_kind}" for d in devices)
+    if devices[0].platform == "cpu" and util.find_spec("jax_cuda12_plugin") is not None:
+        return (
+            "device",
+            False,
+            f"{kinds}; the CUDA plugin is installed but sees no GPU: is the driver loaded?",
+        )
+    return "device", True, kinds
+
+
+def _extras() -> Finding:
+    missing = {name: extra for name, extra in EXTRAS.items() if util.find_spec(name) is None}
+    if not missing:
+        return "extras", True, "figures and Dask workers are there"
+    words = ", ".join(
+        f"{name} is missing: pip install 'jaxbiped[{extra}]'" for name, extra in missing.items()
+    )
+    return "extras", False, words
+
+
+def _cache() -> Finding:
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    if folder is None:
+        return "compilation cache", False, "off; set JAX_COMPILATION_CACHE_DIR, or every run compiles anew"
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return (
+            "compilation cache",
+            False,
+            f"{folder}: {error.strerror}; set JAX_COMPILATION_CACHE_DIR to another",
+        )
+    return "compilation cache", True, str(folder)
+
+
+def _memory_maps() -> Finding:
+    limit = Path("/proc/sys/vm/max_map_count")
+    if not limit.exists():
+        return "memory maps", True, "no limit known on this system"
+    allowed = int(limit.read_text())
+    ok = allowed >= 65530
+    return "memory maps", ok, f"{allowed} allowed" + ("" if ok else "; sysctl -w vm.max_map_count=65530")
+
+
+def _self_test() -> Finding:
+    """Forward kinematics undoes inverse kinematics on a sampled plan."""
+    began = time.perf_counter()
+    params = robot.load("elkahlout")
+    gait = planner.CosineGait.preset(params, 2)
+
+    @jax.jit
+    def error(times: Any) -> Any:
+        def one(t: Any) -> Any:
+            task = planner.at(gait, t).position
+            asked = task.sole - task.pelvis
+            angles, _ = kinematics.joint_angles(params, asked)
+            back = jnp.stack([kinematics.leg.forward(params, i, angles[i]).p_pelvis_sole for i in (0, 1)])
+            return jnp.max(jnp.abs(back - asked))
+
+        return jnp.max(jax.vmap(one)(times))
+
+    worst = float(error(jnp.linspace(0.0, float(gait.duration), 200)))
+    took = time.perf_counter() - began
+    ok = bool(np.isfinite(worst)) and worst < 1e-5
+    words = f"inverse and forward kinematics agree within {1e6 * worst:.2f} um, {took:.1f} s"
+    return "self-test", ok, words if ok else f"{words}; reinstall jax and jaxlib of the same version"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+CHECKS: tuple[Callable[[], Finding], ...] = (_device, _extras, _cache, _memory_maps, _self_test)

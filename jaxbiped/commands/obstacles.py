@@ -1,0 +1,121 @@
+"""`jaxbiped obstacles`: obstacles and holes of every height under one step, with every arm of the landing."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import polars as pl
+from tyro.conf import arg
+
+from jaxbiped import batch
+from jaxbiped.commands import batches
+from jaxbiped.commands.choices import LANDINGS, make_gait, own_gait, simulation_options
+from jaxbiped.commands.common import InputError, figures_module, load_robot, make_writable, refusing
+
+DEEPEST, HIGHEST = -0.2, 0.2
+"""Of pads [m]."""
+HEIGHTS_HELP = "Heights of the pad in m, negative for a hole. Example: 0.02 -0.02"
+ARM_HELP = "Arms of the landing adaptation: off, paper, repaired, or files of tuned arms (.toml)."
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Walk over a pad or a hole that the robot does not know of, of every height, with every arm."""
+
+    robot: str = "surena3"
+    """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
+    gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
+    """Default: the gait of the robot's own paper."""
+    arm: Annotated[tuple[str, ...], arg(help=ARM_HELP)] = LANDINGS
+    heights: Annotated[tuple[float, ...], arg(help=HEIGHTS_HELP)] = tuple(0.01 * cm for cm in range(-5, 6))
+    step: tuple[int, ...] = (4,)
+    """Steps under whose footholds the pads are, 0 for the first; each has a pad of the same height."""
+    steps: int = 8
+    """Steps of the walk."""
+    workers: Annotated[int | None, arg(help=batches.WORKERS_HELP)] = None
+    scheduler: Annotated[str | None, arg(help=batches.SCHEDULER_HELP)] = None
+    batch: Annotated[int | None, arg(help=batches.BATCH_HELP)] = None
+    seed: int = 0
+    """Of the sensors' noise."""
+    out: Path = Path("runs/obstacles")
+    """Folder of the table and the figures; what is finished in it is not walked again."""
+    overwrite: Annotated[bool, arg(help=batches.OVERWRITE_HELP)] = False
+    dry_run: Annotated[bool, arg(help=batches.DRY_RUN_HELP)] = False
+    json: bool = False
+    """Print one JSON object as the last line."""
+
+
+def run(command: Obstacles) -> dict[str, Any]:
+    """Carry out the command; returns what --json prints."""
+    figures, out = figures_module(), command.out
+    experiment = set_up(command)
+    if command.dry_run:
+        return batches.dry_run(experiment, out, command.workers)
+    with refusing(out, "a folder that can be made and written"):
+        make_writable(out)
+    table = batches.walk(experiment, out, command.workers, command.scheduler, command.overwrite)
+    print("\n".join(_lines(table, command.step[0])))
+    print("\n".join(batches.rates(table)))
+    files = batches.save(figures, _draw(table, experiment.robot.name, command.step[0]), out)
+    print(f"table.parquet and {len(files)} figures in {out}")
+    return {"cells": cells(table, command.step[0]), "table": str(out / "table.parquet"), "files": files}
+
+
+def set_up(command: Obstacles) -> batch.Experiment:
+    """The experiment."""
+    params = load_robot("--robot", command.robot)
+    heights = batches.numbers("--heights", command.heights, "m", DEEPEST, HIGHEST)
+    gait = make_gait(params, command.gait or own_gait(params), command.steps)
+    if not command.step or len(set(command.step)) < len(command.step):
+        raise InputError(f"--step: got {command.step}, allowed: one or more steps, each once")
+    for step in command.step:
+        if not 0 <= step < command.steps:
+            raise InputError(
+                f"--step: got {step}, allowed: 0 to {command.steps - 1} with --steps {command.steps}"
+            )
+    arms = batches.landing_arms(command.arm, LANDINGS, params, gait)
+    scenarios = pl.DataFrame({batch.height_column(step): heights for step in command.step})
+    options = simulation_options(params, gait)
+    return batches.experiment(params, arms, scenarios, options, seed=command.seed, batch=command.batch)
+
+
+def cells(table: pl.DataFrame, step: int) -> list[dict[str, Any]]:
+    """One object for every walk."""
+    return [
+        {
+            "arm": row["arm"],
+            "height_m": row[batch.height_column(step)],
+            "success": row["success"],
+            "status": row["status"],
+            "end_time_s": round(row["end_time_s"], 4),
+            "peak_foot_force_N": batches.number_or_none(peak_force(row), 1),
+            "peak_roll_deg": batches.number_or_none(row["peak_roll_deg"]),
+            "peak_pitch_deg": batches.number_or_none(row["peak_pitch_deg"]),
+        }
+        for row in table.iter_rows(named=True)
+    ]
+
+
+def peak_force(row: dict[str, Any]) -> float:
+    """Largest vertical force on either foot [N]."""
+    return max(row["peak_force_left_N"], row["peak_force_right_N"])
+
+
+def _lines(table: pl.DataFrame, step: int) -> list[str]:
+    by_arm = {walks["arm"][0]: walks for walks in table.partition_by("arm", maintain_order=True)}
+    lines = [f"{'height':>8}  " + "".join(f"{arm:<18}" for arm in by_arm)]
+    for i, height in enumerate(next(iter(by_arm.values()))[batch.height_column(step)]):
+        rows = [walks.row(i, named=True) for walks in by_arm.values()]
+        words = [
+            f"{peak_force(r):,.0f} N" if r["success"] else f"{r['status']} {r['end_time_s']:.1f} s"
+            for r in rows
+        ]
+        lines.append(f"{100 * height:>+5g} cm  " + "".join(f"{word:<18}" for word in words))
+    return lines
+
+
+def _draw(table: pl.DataFrame, name: str, step: int) -> dict[str, Any]:
+    from jaxbiped.report import grids
+
+    what = f"{name} over an unknown pad under step {step}"
+    return {"obstacles": grids.cells_figure(table, batch.height_column(step), what)}

@@ -1,0 +1,114 @@
+"""`jaxbiped replay`: one row of a results table again, with its trace, figures and, if asked for, a moving picture."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbiped import batch, planner, sim
+from jaxbiped.batch import part
+from jaxbiped.commands import walk
+from jaxbiped.commands.common import InputError, figures_module, make_writable, refusing
+from jaxbiped.commands.walk_input import TRACE_DT, Arms, Load, Obstacle, Setup
+
+TOLERANCE = {"_s": 0.05, "_deg": 0.5, "_N": 60.0, "_Ns": 3.0, "_m": 5e-3}
+"""By how much a number of one walk may differ from its table's, where the walk was one of many [of the unit]: float32
+rounds differently in batches of other sizes, and walking amplifies that."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Walk one row of a results table again, tell, draw, and say if it does not agree with the table."""
+
+    table: Path
+    """Folder that a batch was run in, or the table.parquet in it."""
+    row: int
+    """Number of the row."""
+    out: Path = Path("runs/replay")
+    """Folder of the figures."""
+    video: bool = False
+    """Draw a moving picture too (walk.gif)."""
+    json: bool = False
+    """Print one JSON object as the last line."""
+
+
+def run(command: Replay) -> dict[str, Any]:
+    """Carry out the command; returns what --json prints."""
+    figures, out = figures_module(), command.out
+    try:
+        experiment, table = batch.open_table(command.table)
+    except batch.StoreError as error:
+        raise InputError(f"--{error}") from None
+    found = table.filter(table["row"] == command.row)
+    if found.height != 1:
+        raise InputError(f"--row: got {command.row}, allowed: 0 to {experiment.rows - 1}, finished ones")
+    with refusing(out, "a folder that can be made and written"):
+        make_writable(out)
+    row = found.row(0, named=True)
+    setup = set_up(experiment, row)
+    one = walk.simulate(setup)
+    result = walk.tell(figures, setup, one, out)
+    different = differences(row, outcome(one, setup))
+    for name, (then, now) in different.items():
+        print(f"differs from the table: {name} was {then}, is {now}")
+    print(f"row {command.row}: {'does not agree' if different else 'agrees'} with the table")
+    if command.video and one.trace is not None:
+        from jaxbiped.report import movie
+
+        result["files"].append(str(movie.save(experiment.robot, one.trace, out / "walk.gif")))
+    print(f"{len(result['files'])} figures in {out}")
+    return {"row": command.row, "agrees": not different, "differences": different, **result}
+
+
+def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
+    """One row as a walk of its own."""
+    controller = experiment.arms[row["arm"]]
+    chosen = experiment.table[row["scenario"]]
+    batched = batch.scenarios_of(chosen, experiment.pads)
+    scenario: sim.Scenario = jax.tree.map(lambda leaf: leaf[0], batched)
+    options = experiment.simulation
+    heights = {step: row[batch.height_column(step)] for step in batch.steps_of(chosen.columns)}
+    loaded = row["load_kg"] > 0.0 and row["load_time_s"] < batch.NEVER
+    stages = ((controller.landing, "off"), (controller.payload, "off"))
+    names = [off if stage is None else row["arm"] for stage, off in stages]
+    return Setup(
+        robot=experiment.robot,
+        gait=controller.gait,
+        gait_name="cosine" if isinstance(controller.gait, planner.CosineGait) else "polynomial",
+        obstacles=[Obstacle(step, height) for step, height in heights.items() if height],
+        load=Load(row["load_kg"], row["load_time_s"]) if loaded else None,
+        arms=Arms(landing=names[0], reflex=names[1]),
+        controller=controller,
+        scenario=scenario,
+        options=replace(options, trace_every=max(1, round(TRACE_DT / options.control_dt))),
+        duration=experiment.durations[row["arm"]],
+    )
+
+
+def outcome(one: sim.Walk, setup: Setup) -> dict[str, Any]:
+    """What a results table would say of this walk."""
+    said = part.outcome_of(one, setup.controller, setup.scenario)
+    columns = {name: np.asarray(value)[None] for name, value in said.items()}
+    return part.outcome_frame(columns).row(0, named=True)
+
+
+def differences(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Columns that differ by more than TOLERANCE; of a walk that ended in a fall, only how and when."""
+    names = ["status", "success", "finished", "reflexes", "trigger_s", "end_time_s"]
+    if then["status"] in ("ok", "unfinished"):
+        names = list(now)
+    return {name: (then[name], now[name]) for name in names if not _close(name, then[name], now[name])}
+
+
+def _close(name: str, then: Any, now: Any) -> bool:
+    if not isinstance(then, float) or not isinstance(now, float):
+        return then == now
+    allowed = TOLERANCE[f"_{name.rpartition('_')[2]}"]
+    return (
+        abs(then - now) <= max(allowed, 0.02 * abs(then))
+        or then == now
+        or (math.isnan(then) and math.isnan(now))
+    )

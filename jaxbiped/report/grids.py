@@ -1,0 +1,660 @@
+"""Tables of walks as a person reads them: the thesis' own tables beside ours, maps of success, limits, causes.
+
+Every function takes a table with one row per walk (`jaxbiped.batch`) or what `batch.summary` makes of it. Figures are
+matplotlib Figures. The thesis counts time from the middle of a double support: its time is ours less T_ini, which
+functions take as `offset_s`.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import resources
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+
+from jaxbiped.batch import summary
+from jaxbiped.report.figures import BLUE, DPI, GREEN, INK, LEGEND_WIDTH, ORANGE, PURPLE, dress
+
+THESIS_TABLES = {
+    1: "Table 4.1, no reflex (the calibration)",
+    2: "Table 4.2, original reflex (a prediction)",
+    3: "Table 4.3, modified reflex (a prediction)",
+}
+"""What elkahlout's tables are, and what each is here: the robot was fitted to the first, the others test it."""
+TICK, CROSS, NOT_RUN, DIFFERS = "✓", "✗", "·", "*"
+"""Marks in tables of text."""
+FEET = ("peak_force_left_N", "peak_force_right_N")
+"""Columns of the largest vertical force on each foot."""
+MOST_VALUES, PARTS = 64, 16
+"""An input with more values than the first is cut into so many equal parts before it is drawn."""
+MOST_CAUSES = 10
+"""Inputs shown per arm."""
+_ARM_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK, "#E69F00")
+_ARM_MARKERS = "osDvXP"
+_NOT_RUN_FILL = "#d9dce1"
+_SUCCESS = LinearSegmentedColormap.from_list("success", [ORANGE, "#f1eee8", BLUE])
+_WORDS = {
+    "load_time_s": "time of the load",
+    "sinkage_m": "sinkage of the ground",
+    "damping_s_per_m": "damping of the ground",
+    "delta_z_m": "gap of the switches",
+    "bounce_s": "bounce of the switches",
+    "delay_s": "delay of the readings",
+    "gain_scale": "servo gains, factor",
+    "reach_margin_m": "margin of reach",
+    "zmp_margin_m": "ZMP margin",
+}
+_SHIFTED = {"load": "load", "com": "trunk's COM", "push": "push"}
+_WAYS = {"x": "forward", "y": "to the left", "z": "upward"}
+_UNITS = {
+    **{"m_per_s": "m/s", "s_per_m": "s/m", "deg": "deg", "rad": "deg", "kg": "kg", "Ns": "N s", "N": "N"},
+    **{"s": "s", "m": "mm", "scale": "-"},
+}
+"""What is shown for the unit at the end of a column's name."""
+_MOST_ROWS_NUMBERED = 16
+_TICK_STEPS = (1, 2, 4, 5, 10, 20, 50)
+_LETTERS_PER_INCH = 13.0
+"""Of tick labels that just fit."""
+
+
+class Agreement(NamedTuple):
+    """How many cells of a printed table come out the same here."""
+
+    agree: int
+    compared: int
+    """Cells that are both printed and walked."""
+    by_load: pl.DataFrame
+    """The same for every load: columns load_kg, agree, compared."""
+
+
+class Shown(NamedTuple):
+    """How the values of a column are shown to a person."""
+
+    label: str
+    """Words and unit."""
+    factor: float
+    """From the column's unit to the one shown."""
+
+
+def thesis_table(number: int) -> pl.DataFrame:
+    """Read a table of elkahlout as printed: 1 without reflex, 2 with the original reflex, 3 with the modified one.
+
+    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions. Table 4.2 lists 3.2 s twice and lacks
+    3.1 s and 4.1 s, as here.
+
+    Args:
+        number: 1, 2 or 3.
+
+    Returns:
+        Columns load_kg, time_s (the thesis' own), success; row by row.
+    """
+    if number not in THESIS_TABLES:
+        raise ValueError(f"elkahlout has no table 4.{number} of successes; there are 4.1, 4.2 and 4.3")
+    file = resources.files("jaxbiped.report") / "data" / f"elkahlout_table_4_{number}.csv"
+    wide = pl.read_csv(file.read_bytes(), infer_schema_length=None).with_row_index("line")
+    tall = wide.unpivot(index=["line", "time_s"], variable_name="load_kg", value_name="success")
+    tall = tall.with_columns(pl.col("load_kg").cast(pl.Float64), pl.col("success") == 1)
+    return tall.sort("line", "load_kg").select("load_kg", "time_s", "success")
+
+
+def tick_table(walks: pl.DataFrame, offset_s: float) -> str:
+    """Write the walks of one arm as the thesis does: a row per time, a column per load, a tick for a success.
+
+    A cell with several walks that do not all end alike shows the share that succeeded; one that was not run, a dot.
+
+    Args:
+        walks: the rows of one arm; those without a load are left out.
+        offset_s: what the thesis' time is earlier than ours, T_ini [s].
+    """
+    ours = _our_cells(walks, offset_s)
+    times, loads = (sorted({key[i] for key in ours}) for i in range(2))
+    lines = [_line("load [kg]", [_milli_text(load) for load in loads]), "time [s]"]
+    lines += [
+        _line(_milli_text(time), [_our_mark(ours.get((time, load))) for load in loads]) for time in times
+    ]
+    return _text([_title(walks), *lines])
+
+
+def beside_thesis(walks: pl.DataFrame, number: int, offset_s: float) -> str:
+    """Write the walks of one arm and a table of the thesis side by side, differing cells marked with a star.
+
+    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions, and the title says which it is. All
+    that was printed or walked is shown; a time printed twice has two rows.
+
+    Args:
+        walks: the rows of one arm; those without a load are left out.
+        number: of the thesis' table: 1, 2 or 3.
+        offset_s: what the thesis' time is earlier than ours, T_ini [s].
+    """
+    ours, printed = _our_cells(walks, offset_s), _printed_rows(thesis_table(number))
+    loads = sorted({load for _, load in ours} | {load for _, row in printed for load in row})
+    listed = {time for time, _ in printed}
+    rows = printed + [(time, {}) for time in {time for time, _ in ours} - listed]
+    agree, compared, _ = agreement(walks, number, offset_s)
+    head = _line("load [kg]", [_milli_text(load) for load in loads])
+    lines = [
+        f"{_title(walks)}, beside {THESIS_TABLES[number]}: {agree} of {compared} cells agree",
+        f"{'':10}{'ours':^{_WIDTH * len(loads)}} |{'thesis':^{_WIDTH * len(loads)}}",
+        f"{head} |{head[10:]}",
+        "time [s]",
+    ]
+    for time, row in sorted(rows, key=lambda row: row[0]):
+        here = [_compared_mark(ours.get((time, load)), row.get(load)) for load in loads]
+        there = [_printed_mark(row.get(load)) for load in loads]
+        lines.append(f"{_line(_milli_text(time), here)} |{_line('', there)[10:]}")
+    return _text(lines)
+
+
+def agreement(walks: pl.DataFrame, number: int, offset_s: float) -> Agreement:
+    """Count the cells of a printed table that come out the same here.
+
+    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions. Times and loads are the same if they
+    are to the nearest ms and g. A cell printed twice counts once. With several walks in a cell, ours succeeds if more
+    than half of them do.
+
+    Args:
+        walks: the rows of one arm; those without a load are left out.
+        number: of the thesis' table: 1, 2 or 3.
+        offset_s: what the thesis' time is earlier than ours, T_ini [s].
+    """
+    ours, printed = _our_cells(walks, offset_s), _printed_cells(thesis_table(number))
+    same = [
+        (load, _succeeds(ours[key]) == said)
+        for key, said in printed.items()
+        if key in ours
+        for load in key[1:]
+    ]
+    loads = sorted({load for load, _ in same})
+    by_load = [
+        (1e-3 * load, sum(s for one, s in same if one == load), sum(one == load for one, _ in same))
+        for load in loads
+    ]
+    schema = {"load_kg": pl.Float64(), "agree": pl.Int64(), "compared": pl.Int64()}
+    return Agreement(sum(s for _, s in same), len(same), pl.DataFrame(by_load, schema=schema, orient="row"))
+
+
+def heat_map(
+    table: pl.DataFrame,
+    x: str,
+    y: str,
+    title: str,
+    marks: pl.DataFrame | Mapping[str, pl.DataFrame] | None = None,
+    value: str | None = None,
+    offset_s: float | None = None,
+) -> Figure:
+    """Draw the success rate, or the mean of a column, over two inputs: a panel per arm, a cell per pair of values.
+
+    Cells are equally large whatever the steps between values; an input of more than MOST_VALUES values is cut into
+    PARTS equal parts. Cells that were not run, or where the column has no finite value, are grey.
+
+    Args:
+        table: one row per walk.
+        x: input along the horizontal axis.
+        y: input along the vertical axis.
+        title: heading of the figure.
+        marks: a table of the thesis, or one for every arm that has one: cells that differ from it are outlined. The
+            axes must be load_kg and load_time_s.
+        value: column to draw instead of the success rate, such as peak_pitch_deg.
+        offset_s: show load_time_s less this, on the thesis' clock [s]; needed for marks.
+    """
+    if table.is_empty():
+        raise ValueError("a map needs walks; there are none")
+    if marks is not None and ({x, y} != {"load_kg", "load_time_s"} or offset_s is None):
+        raise ValueError("marks need load_kg and load_time_s as axes, and offset_s")
+    table = summary.without_never(table, [x, y]).drop_nulls([x, y])
+    table = _on_thesis_clock(table, offset_s)
+    table = table.with_columns(_parted(table[x]), _parted(table[y]))
+    by_arm = {arm: table.filter(pl.col("arm") == arm) for arm in summary.arms(table)}
+    sides = _Sides(x, y, *(table[name].unique().sort().to_list() for name in (x, y)))
+    figure, panels, width = _map_panels(len(by_arm), sides, title)
+    values = {arm: _map_values(walks, sides, value) for arm, walks in by_arm.items()}
+    look = _map_colors(values.values(), value)
+    for (arm, walks), axes in zip(by_arm.items(), panels, strict=True):
+        axes.pcolormesh(values[arm], edgecolor="white", lw=0.4, **look)
+        _dress_map(axes, arm, sides, width)
+        printed = marks.get(arm) if isinstance(marks, Mapping) else marks
+        if printed is not None:
+            _outline(axes, walks, printed, sides)
+    _label_map(panels, _clocked(x, offset_s), _clocked(y, offset_s))
+    _map_legend(figure, values.values(), marks is not None)
+    _color_bar(figure, panels, "success rate [-]" if value is None else f"mean {shown(value).label}")
+    return figure
+
+
+def frontier_figure(
+    limits: pl.DataFrame,
+    title: str,
+    what: str = "load_kg",
+    by: str = "load_time_s",
+    offset_s: float | None = None,
+) -> Figure:
+    """Draw how far up an input can go (`summary.frontier`) over another: a panel per level, a curve per arm.
+
+    Args:
+        limits: of `summary.frontier` with the same `what` and `by`.
+        title: heading of the figure.
+        what: the input whose limit was looked for.
+        by: the input over which limits are listed.
+        offset_s: show load_time_s less this, on the thesis' clock [s].
+    """
+    limits = _on_thesis_clock(limits, offset_s)
+    levels, names = limits["level"].unique(maintain_order=True).to_list(), summary.arms(limits)
+    figure, panels = _stack(len(levels), title, 1.2 + 2.6 * len(levels))
+    quantity = shown(what)
+    for level, axes in zip(levels, panels, strict=True):
+        for i, arm in enumerate(names):
+            for way in limits["direction"].unique(maintain_order=True):
+                line = limits.filter(arm=arm, level=level, direction=way).sort(by)
+                _draw_limit(axes, line, what, by, i, len(names))
+        axes.set_title(f"success rate of {100 * level:.3g} % and more", fontsize=10, color=INK, loc="left")
+        axes.set_ylabel(f"limit:\n{quantity.label}")
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, -0.06 * (high - low)), high + 0.06 * (high - low))
+    panels[-1].set_xlabel(_clocked(by, offset_s))
+    handles = [_arm_handle(arm, i) for i, arm in enumerate(names)]
+    if limits["beyond"].any():
+        handles.append(_handle("^", "held at every value tested"))
+    if limits[what].null_count():
+        handles.append(_handle("x", "fails at the first value"))
+    _legend_below(figure, handles)
+    return figure
+
+
+def causes_figure(found: pl.DataFrame, title: str) -> Figure:
+    """Draw how much each input tells about success (`summary.causes`): a panel per arm, a bar per input.
+
+    Beside a bar stand the success rates in the input's lowest and highest bin.
+
+    Args:
+        found: of `summary.causes`.
+        title: heading of the figure.
+    """
+    names = summary.arms(found)
+    kept = {arm: found.filter(pl.col("arm") == arm).head(MOST_CAUSES) for arm in names}
+    heights = [0.9 + 0.27 * rows.height for rows in kept.values()]
+    figure = _figure(title, (9.0, 0.8 + sum(heights)))
+    panels = (
+        figure.subplots(len(names), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+        if names
+        else []
+    )
+    most = max(found["information_bits"], default=0.0)
+    for i, (arm, axes) in enumerate(zip(names, panels, strict=True)):
+        _draw_causes(axes, kept[arm], _ARM_COLORS[i % len(_ARM_COLORS)])
+        axes.set_title(arm, fontsize=10, color=INK, loc="left")
+        axes.set_xlim(0.0, 1.3 * max(most, 1e-3))
+    if len(panels):
+        panels[-1].set_xlabel(
+            "information about success [bit]; beside: success rate in the lowest → the highest part"
+        )
+    return figure
+
+
+def cells_figure(table: pl.DataFrame, x: str, title: str, forces: Sequence[str] = FEET) -> Figure:
+    """Draw success and foot force over one input: rates with Wilson's 95 % bars above, the larger foot's force below.
+
+    The force is the mean over the walks at each value; its bars reach from the smallest to the largest.
+
+    Args:
+        table: one row per walk.
+        x: the input, such as step_2_height_m; one of more than MOST_VALUES values is cut into PARTS equal parts.
+        title: heading of the figure.
+        forces: columns of which each walk's largest is drawn below [N].
+    """
+    table = summary.without_never(table, [x]).drop_nulls(x)
+    largest = pl.max_horizontal(*forces)
+    table = table.with_columns(_parted(table[x]), largest=pl.when(largest.is_finite()).then(largest))
+    quantity, names = shown(x), summary.arms(table)
+    rates = summary.cells(table, [x])
+    force = table.group_by("arm", x).agg(
+        mean=pl.col("largest").mean(), low=pl.col("largest").min(), high=pl.col("largest").max()
+    )
+    figure, panels = _stack(2, title, 6.4)
+    places = quantity.factor * rates[x].unique().sort().to_numpy()
+    step = float(np.diff(places).min()) if len(places) > 1 else 1.0
+    for i, arm in enumerate(names):
+        aside = 0.12 * step * (i - 0.5 * (len(names) - 1))
+        for axes, cells, middle in ((panels[0], rates, "rate"), (panels[1], force, "mean")):
+            one = cells.filter(pl.col("arm") == arm).drop_nulls(middle).sort(x)
+            _draw_bars(axes, quantity.factor * one[x].to_numpy() + aside, one, middle, i)
+    panels[0].set_ylim(-0.04, 1.04)
+    panels[0].set_ylabel("success rate [-]")
+    panels[1].set_ylim(bottom=0.0)
+    panels[1].set_ylabel("peak foot force [N]")
+    panels[1].set_xlabel(quantity.label)
+    _legend_below(figure, [_arm_handle(arm, i) for i, arm in enumerate(names)])
+    figure.align_ylabels(panels)
+    return figure
+
+
+def shown(column: str) -> Shown:
+    """Say how a column of a table of walks is labelled: words and a unit, meters as mm and radians as degrees."""
+    unit = next((unit for unit in _UNITS if column.endswith(f"_{unit}")), None)
+    if column in ("x_m", "y_m"):
+        return Shown(f"{_WAYS[column[0]]}, {column[0]} [m]", 1.0)
+    factor = {"m": 1e3, "rad": math.degrees(1.0)}.get(unit or "", 1.0)
+    return Shown(f"{_words(column, unit)} [{_UNITS.get(unit or '', '-')}]", factor)
+
+
+def _words(column: str, unit: str | None) -> str:
+    if column in _WORDS:
+        return _WORDS[column]
+    step, way = re.fullmatch(r"step_(\d+)_height_m", column), re.fullmatch(r"([a-z]+)_([xyz])_\w+", column)
+    if step:
+        return f"height under foothold {step[1]}"
+    if way and way[1] in _SHIFTED:
+        return f"{_SHIFTED[way[1]]} {_WAYS[way[2]]}"
+    words = column.removesuffix(f"_{unit}").replace("_", " ")
+    return f"{words}, factor" if unit == "scale" else words
+
+
+# ---- the thesis' tables
+
+Cell = tuple[int, int]
+"""A time and a load, in whole ms and g."""
+_WIDTH = 6
+"""Of a column of text, in letters."""
+
+
+def _milli(value: float) -> int:
+    return round(1e3 * value)
+
+
+def _milli_text(value: int) -> str:
+    text = f"{1e-3 * value:.3f}".rstrip("0")
+    return f"{text}0" if text.endswith(".") else text
+
+
+def _our_cells(walks: pl.DataFrame, offset_s: float) -> dict[Cell, tuple[int, int]]:
+    """Successes and walks at each time and load."""
+    _one_arm(walks)
+    found: dict[Cell, tuple[int, int]] = {}
+    for time, load, success in walks.select("load_time_s", "load_kg", "success").iter_rows():
+        if load and math.isfinite(time):
+            key = (_milli(time - offset_s), _milli(load))
+            won, n = found.get(key, (0, 0))
+            found[key] = (won + success, n + 1)
+    return found
+
+
+def _one_arm(walks: pl.DataFrame) -> str:
+    names = summary.arms(walks)
+    if len(names) != 1:
+        raise ValueError(f"the walks of one arm are needed, not of {len(names)}: {', '.join(names)}")
+    return names[0]
+
+
+def _title(walks: pl.DataFrame) -> str:
+    return f"arm {_one_arm(walks)}"
+
+
+def _printed_rows(printed: pl.DataFrame) -> list[tuple[int, dict[int, bool]]]:
+    """Rows of a printed table in their order: a time, and success by load."""
+    rows: list[tuple[int, dict[int, bool]]] = []
+    for load, time, success in printed.select("load_kg", "time_s", "success").iter_rows():
+        key = (_milli(time), _milli(load))
+        if not rows or rows[-1][0] != key[0] or key[1] in rows[-1][1]:
+            rows.append((key[0], {}))
+        rows[-1][1][key[1]] = success
+    return rows
+
+
+def _printed_cells(printed: pl.DataFrame) -> dict[Cell, bool]:
+    return {(time, load): success for time, row in _printed_rows(printed) for load, success in row.items()}
+
+
+def _succeeds(cell: tuple[int, int]) -> bool:
+    won, n = cell
+    return 2 * won > n
+
+
+def _our_mark(cell: tuple[int, int] | None) -> str:
+    if cell is None:
+        return NOT_RUN
+    won, n = cell
+    if won in (0, n):
+        return TICK if won else CROSS
+    return f"{100 * won / n:.0f}%"
+
+
+def _printed_mark(success: bool | None) -> str:
+    return NOT_RUN if success is None else TICK if success else CROSS
+
+
+def _compared_mark(cell: tuple[int, int] | None, printed: bool | None) -> str:
+    differs = cell is not None and printed is not None and _succeeds(cell) != printed
+    return _our_mark(cell) + (DIFFERS if differs else "")
+
+
+def _text(lines: Sequence[str]) -> str:
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _line(head: str, marks: Sequence[str]) -> str:
+    """One row of text; a star hangs over to the right, so that ticks stay in line."""
+    fields = [
+        f"{mark.removesuffix(DIFFERS):>{_WIDTH - 1}}{DIFFERS if DIFFERS in mark else ' '}" for mark in marks
+    ]
+    return f"{head:>9} " + "".join(fields)
+
+
+# ---- what the figures share
+
+
+def _figure(title: str, size: tuple[float, float]) -> Figure:
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained", facecolor="white")
+    figure.suptitle(title, fontsize=12, color=INK)
+    return figure
+
+
+def _stack(rows: int, title: str, height: float) -> tuple[Figure, Sequence[Axes]]:
+    """Panels over one another that share the horizontal axis."""
+    figure = _figure(title, (9.0, height))
+    panels = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    for axes in panels:
+        dress(axes)
+    return figure, panels
+
+
+def _handle(marker: str, label: str) -> Line2D:
+    fill = "none" if marker == "^" else INK
+    return Line2D([], [], color=INK, ls="", marker=marker, markerfacecolor=fill, label=label)
+
+
+def _arm_style(i: int) -> dict[str, Any]:
+    return {
+        "color": _ARM_COLORS[i % len(_ARM_COLORS)],
+        "marker": _ARM_MARKERS[i % len(_ARM_MARKERS)],
+        "ms": 4.5,
+    }
+
+
+def _arm_handle(arm: str, i: int) -> Line2D:
+    return Line2D([], [], label=arm, lw=1.4, **_arm_style(i))
+
+
+def _legend_below(figure: Figure, handles: Sequence[Any]) -> None:
+    width = sum(len(str(handle.get_label())) + 8 for handle in handles)
+    figure.legend(
+        handles=list(handles),
+        loc="outside lower center",
+        ncols=len(handles) if width <= LEGEND_WIDTH else -(-len(handles) // 2),
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
+    )
+
+
+def _parted(values: pl.Series) -> pl.Series:
+    """The values, or the middles of the parts they are in where there are too many of them."""
+    if values.n_unique() <= MOST_VALUES:
+        return values
+    known = values.to_numpy()
+    edges = np.linspace(known.min(), known.max(), PARTS + 1)
+    part = np.clip(np.searchsorted(edges, known, side="right") - 1, 0, PARTS - 1)
+    return pl.Series(values.name, 0.5 * (edges[part] + edges[part + 1]))
+
+
+def _on_thesis_clock(table: pl.DataFrame, offset_s: float | None) -> pl.DataFrame:
+    if offset_s is None or "load_time_s" not in table.columns:
+        return table
+    return table.with_columns((pl.col("load_time_s") - offset_s).round(6))
+
+
+def _clocked(column: str, offset_s: float | None) -> str:
+    if column == "load_time_s" and offset_s is not None:
+        return "time of the load, thesis' clock [s]"
+    return shown(column).label
+
+
+# ---- maps
+
+
+class _Sides(NamedTuple):
+    """Columns along the two sides of a map, and their values in order."""
+
+    x: str
+    y: str
+    across: Sequence[Any]
+    up: Sequence[Any]
+
+
+def _map_panels(n: int, sides: _Sides, title: str) -> tuple[Figure, Sequence[Axes], float]:
+    """Wide maps over one another, others side by side; and about how wide each is [inch]."""
+    columns, rows = len(sides.across), len(sides.up)
+    wide = columns >= 2 * rows
+    if wide:
+        size = (10.0, 1.4 + n * min(4.0, max(1.5, 0.6 + 0.2 * rows)))
+    else:
+        size = (
+            max(6.0, 1.6 + n * min(4.0, max(2.0, 0.32 * columns))),
+            min(11.0, max(4.6, 1.6 + 0.2 * rows)),
+        )
+    figure = _figure(title, size)
+    grid = figure.subplots(*((n, 1) if wide else (1, n)), sharex=True, sharey=True, squeeze=False)
+    return figure, list(grid.ravel()), (size[0] - 1.6) / (1 if wide else n)
+
+
+def _map_values(walks: pl.DataFrame, sides: _Sides, value: str | None) -> np.ndarray:
+    """(rows, columns) of an arm's map, NaN where there is nothing to show."""
+    factor = 1.0 if value is None else shown(value).factor
+    column = pl.col("success" if value is None else value).cast(pl.Float64)
+    cells = walks.group_by(sides.x, sides.y).agg(column.filter(column.is_finite()).mean().alias("_value"))
+    columns, rows = ({v: i for i, v in enumerate(values)} for values in (sides.across, sides.up))
+    drawn = np.full((len(rows), len(columns)), np.nan)
+    for one, other, mean in cells.select(sides.x, sides.y, "_value").iter_rows():
+        drawn[rows[other], columns[one]] = math.nan if mean is None else factor * mean
+    return drawn
+
+
+def _map_colors(values: Iterable[np.ndarray], value: str | None) -> dict[str, Any]:
+    if value is None:
+        return {"cmap": _SUCCESS, "vmin": 0.0, "vmax": 1.0}
+    known = np.concatenate([v[np.isfinite(v)] for v in values])
+    low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
+    return {"cmap": "viridis", "vmin": low, "vmax": high}
+
+
+def _color_bar(figure: Figure, panels: Sequence[Axes], label: str) -> None:
+    bar = figure.colorbar(panels[0].collections[0], ax=list(panels), fraction=0.03, pad=0.02, aspect=30)
+    bar.set_label(label, color=INK)
+    bar.ax.tick_params(colors=INK, labelsize=9)
+    bar.ax.spines[:].set_visible(False)
+
+
+def _dress_map(axes: Axes, arm: str, sides: _Sides, width: float) -> None:
+    """Ticks and frame of a panel of this width [inch]."""
+    axes.set_facecolor(_NOT_RUN_FILL)
+    axes.set_title(arm, fontsize=10, color=INK, loc="left")
+    columns, rows = _tick_texts(sides.across, sides.x), _tick_texts(sides.up, sides.y)
+    axes.set_xticks(
+        *_ticks(columns, lambda texts: sum(len(t) + 1.5 for t in texts) <= _LETTERS_PER_INCH * width)
+    )
+    axes.set_yticks(*_ticks(rows, lambda texts: len(texts) <= _MOST_ROWS_NUMBERED))
+    axes.tick_params(colors=INK, labelsize=9, length=0)
+    axes.spines[:].set_visible(False)
+
+
+def _tick_texts(values: Sequence[Any], column: str) -> list[str]:
+    return [f"{shown(column).factor * value:.3g}" for value in values]
+
+
+def _ticks(texts: Sequence[str], fits: Callable[[Sequence[str]], bool]) -> tuple[list[float], list[str]]:
+    """Places and texts of every so-manieth value: of those with the shortest numbers, which are the round ones."""
+    for step in _TICK_STEPS:
+        starts = range(min(step, len(texts)))
+        start = min(starts, key=lambda i: (sum(map(len, texts[i::step])) / len(texts[i::step]), -i))
+        if fits(texts[start::step]):
+            return [i + 0.5 for i in range(start, len(texts), step)], list(texts[start::step])
+    return [0.5], list(texts[:1])
+
+
+def _outline(axes: Axes, walks: pl.DataFrame, printed: pl.DataFrame, sides: _Sides) -> None:
+    """Frame the cells that differ from a printed table; the walks are on the thesis' clock."""
+    said, ours = _printed_cells(printed), _our_cells(walks, 0.0)
+    for i, one in enumerate(sides.across):
+        for j, other in enumerate(sides.up):
+            time, load = (one, other) if sides.x == "load_time_s" else (other, one)
+            key = (_milli(time), _milli(load))
+            if key in said and key in ours and said[key] != _succeeds(ours[key]):
+                axes.add_patch(Rectangle((i + 0.08, j + 0.08), 0.84, 0.84, fill=False, edgecolor=INK, lw=1.8))
+
+
+def _label_map(panels: Sequence[Axes], x_label: str, y_label: str) -> None:
+    for axes in panels:
+        place = axes.get_subplotspec()
+        if place is not None and place.is_last_row():
+            axes.set_xlabel(x_label, color=INK)
+        if place is not None and place.is_first_col():
+            axes.set_ylabel(y_label, color=INK)
+
+
+def _map_legend(figure: Figure, values: Iterable[np.ndarray], marked: bool) -> None:
+    handles = []
+    if marked:
+        handles.append(Patch(facecolor="none", edgecolor=INK, lw=1.8, label="differs from the thesis' table"))
+    if any(np.isnan(v).any() for v in values):
+        handles.append(Patch(facecolor=_NOT_RUN_FILL, label="not run, or no number"))
+    if handles:
+        _legend_below(figure, handles)
+
+
+# ---- curves and bars
+
+
+def _draw_limit(axes: Axes, line: pl.DataFrame, what: str, by: str, i: int, n: int) -> None:
+    """One arm's limit one way; curves that coincide are set off a little from each other."""
+    style, quantity = _arm_style(i), shown(what)
+    places = shown(by).factor * line[by].cast(pl.Float64).to_numpy()
+    step = float(np.diff(places).min()) if len(places) > 1 else 0.0
+    places = places + 0.16 * step * (i - 0.5 * (n - 1))
+    limit = quantity.factor * line[what].cast(pl.Float64).fill_null(math.nan).to_numpy()
+    beyond, nothing = line["beyond"].to_numpy(), np.isnan(limit)
+    axes.plot(places, limit, color=style["color"], lw=1.2)
+    axes.plot(places[~beyond], limit[~beyond], ls="", **style)
+    axes.plot(places[beyond], limit[beyond], ls="", marker="^", ms=6, mfc="white", color=style["color"])
+    axes.plot(places[nothing], np.zeros(nothing.sum()), ls="", marker="x", ms=5, color=style["color"])
+
+
+def _draw_causes(axes: Axes, rows: pl.DataFrame, color: str) -> None:
+    dress(axes)
+    places = np.arange(rows.height)[::-1]
+    axes.barh(places, rows["information_bits"].to_numpy(), height=0.62, color=color)
+    axes.set_yticks(places, [re.sub(r" \[.*", "", shown(name).label) for name in rows["input"]])
+    axes.grid(False, axis="y")
+    for place, row in zip(places, rows.iter_rows(named=True), strict=True):
+        text = f"  {100 * row['rate_lowest']:.0f} % → {100 * row['rate_highest']:.0f} %"
+        axes.text(row["information_bits"], place, text, va="center", fontsize=8.5, color=INK)
+
+
+def _draw_bars(axes: Axes, places: np.ndarray, cells: pl.DataFrame, middle: str, i: int) -> None:
+    heart = cells[middle].to_numpy()
+    reach = np.maximum(0.0, [heart - cells["low"].to_numpy(), cells["high"].to_numpy() - heart])
+    axes.errorbar(places, heart, reach, lw=1.2, elinewidth=1.0, capsize=2.0, **_arm_style(i))

@@ -1,0 +1,81 @@
+"""The thesis' Tables 4.1, 4.2, 4.3 in full: 48 loading times x 6 loads, without reflex, original and modified reflex.
+
+Table 4.1 is what elkahlout's assumed numbers were calibrated on; 4.2 and 4.3 are predictions.
+
+    python sweeps/payload_tables.py --out runs/payload_tables
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import polars as pl
+
+import jaxbiped as jb
+from jaxbiped.adapt import Controller, PayloadReflex
+from jaxbiped.report import grids, overview, page
+
+LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
+"""[kg]"""
+TIMES = tuple(round(0.1 * i, 1) for i in range(1, 49))
+"""The thesis' time [s]; its clock starts T_ini after the walk does."""
+STEPS = 7
+"""Of the walk: two whole ones are left after the recovery from the last loading."""
+
+
+def experiment() -> jb.batch.Experiment:
+    """The thesis' walks."""
+    robot = jb.robot.load("elkahlout")
+    gait = jb.planner.CosineGait.preset(robot, STEPS)
+    arms = {
+        "off": Controller(gait),
+        "original": Controller(gait, payload=PayloadReflex.original(robot, gait)),
+        "modified": Controller(gait, payload=PayloadReflex.modified(robot, gait)),
+    }
+    start = float(gait.params.T_ini)
+    scenarios = jb.batch.grid(load_kg=LOADS, load_time_s=[start + t for t in TIMES])
+    options = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
+    return jb.batch.Experiment(robot, arms, scenarios, options)
+
+
+def write_csv(walks: pl.DataFrame, start: float, file: Path) -> None:
+    """One arm as the thesis prints it: a row for each time, a column for each load, 1 for a success."""
+    clocked = walks.with_columns(
+        time_s=(pl.col("load_time_s") - start).round(3), success=pl.col("success").cast(int)
+    )
+    clocked.pivot("load_kg", index="time_s", values="success").sort("time_s").write_csv(file)
+
+
+def main() -> None:
+    """Walk, print beside the thesis' tables, count, write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("runs/payload_tables"))
+    parser.add_argument("--workers", type=int)
+    parser.add_argument("--overwrite", action="store_true")
+    arguments = parser.parse_args()
+    one, began = experiment(), time.perf_counter()
+    table = jb.batch.run(one, arguments.out, arguments.workers, None, arguments.overwrite, jb.batch.show())
+    took, start = time.perf_counter() - began, overview.clock_start(one)
+    for arm, number in overview.THESIS.items():
+        walks = table.filter(pl.col("arm") == arm)
+        print(grids.beside_thesis(walks, number, start))
+        write_csv(walks, start, arguments.out / f"table_4_{number}.csv")
+    for arm, agreed in overview.agreements(one, table).items():
+        print(overview.agreement_in_words(arm, agreed))
+    marks = {arm: grids.thesis_table(number) for arm, number in overview.THESIS.items()}
+    for name, value in (("success", None), ("pitch", "peak_pitch_deg")):
+        figure = grids.heat_map(
+            table, "load_kg", "load_time_s", f"elkahlout: {name}", marks, value, offset_s=start
+        )
+        figure.savefig(arguments.out / f"{name}.png", dpi=110)
+    page.write_page(
+        arguments.out / "report.html", "The thesis' tables 4.1 to 4.3", overview.sections(one, table)
+    )
+    ticks = one.ticks
+    print(f"{table.height} walks, {ticks:,} physics ticks in {took:.0f} s: {ticks / took:,.0f} a second")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+"""Every column of a scenario table reaches the scenario, and what cannot be walked is refused."""
+
+import jax
+import numpy as np
+import polars as pl
+import pytest
+
+from jaxbiped import adapt, planner, robot, sim
+from jaxbiped.batch import INPUTS, Experiment, grid, height_column, inputs, scenarios_of
+
+
+@pytest.fixture(scope="module")
+def surena():
+    params = robot.load("surena3")
+    return params, planner.PolynomialGait.preset(params, 6)
+
+
+def one_row(**columns):
+    table = inputs.complete(pl.DataFrame({name: [value] for name, value in columns.items()}), 0)
+    return jax.tree.map(lambda leaf: np.asarray(leaf[0]), scenarios_of(table, []))
+
+
+def test_defaults_are_the_flat_scenario():
+    table = inputs.complete(pl.DataFrame({"friction": [0.8]}), 0)
+    assert table.columns == [*INPUTS, "seed"]
+    got, flat = one_row(friction=0.8, seed=0), sim.Scenario.flat(rectangles=1)
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(flat), strict=True):
+        np.testing.assert_array_equal(a, np.asarray(b))
+
+
+WHERE = {
+    "load_kg": lambda s: s.payload.mass,
+    "load_time_s": lambda s: s.payload.time,
+    "load_x_m": lambda s: s.payload.place[0],
+    "load_y_m": lambda s: s.payload.place[1],
+    "load_z_m": lambda s: s.payload.place[2],
+    "load_size_m": lambda s: s.payload.size,
+    "friction": lambda s: s.ground.friction,
+    "sinkage_m": lambda s: s.ground.sinkage,
+    "damping_s_per_m": lambda s: s.ground.damping,
+    "slip_speed_m_per_s": lambda s: s.ground.slip_speed,
+    "trunk_mass_scale": lambda s: s.errors.mass_scale[0],
+    "leg_mass_scale": lambda s: s.errors.mass_scale[1:],
+    "com_x_m": lambda s: s.errors.trunk_com_offset[0],
+    "com_y_m": lambda s: s.errors.trunk_com_offset[1],
+    "com_z_m": lambda s: s.errors.trunk_com_offset[2],
+    "gain_scale": lambda s: s.errors.gain_scale,
+    "delta_z_m": lambda s: s.sensors.delta_z,
+    "bounce_s": lambda s: s.sensors.bounce,
+    "delay_s": lambda s: s.sensors.delay,
+    "force_noise_N": lambda s: s.sensors.force_noise,
+    "angle_noise_rad": lambda s: s.sensors.angle_noise,
+    "push_x_N": lambda s: s.push.force[0],
+    "push_y_N": lambda s: s.push.force[1],
+    "push_z_N": lambda s: s.push.force[2],
+    "push_time_s": lambda s: s.push.start,
+    "push_length_s": lambda s: s.push.length,
+}
+
+
+@pytest.mark.parametrize("name", list(INPUTS))
+def test_every_column_has_its_place_and_touches_nothing_else(name):
+    one = INPUTS[name]
+    value = one.low + 0.3 * (min(one.high, 100.0) - one.low)
+    assert value != one.default
+    got, before = one_row(**{name: value}, seed=0), one_row(friction=0.8, seed=0)
+    np.testing.assert_allclose(WHERE[name](got), value, rtol=1e-6)
+    changed = [
+        not np.array_equal(a, b) for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(before), strict=True)
+    ]
+    assert sum(changed) == 1
+
+
+def test_pads_lie_where_with_obstacle_puts_them(surena):
+    params, gait = surena
+    table = pl.DataFrame({height_column(2): [0.03, 0.0], height_column(3): [0.0, -0.02]})
+    one = Experiment(params, {"off": adapt.Controller(gait)}, table)
+    got = scenarios_of(one.table, one.pads)
+    for row, (step, height) in enumerate([(2, 0.03), (3, -0.02)]):
+        wanted = sim.Scenario.flat().with_obstacle(params, gait, step, height).terrain
+        terrain = jax.tree.map(lambda leaf, row=row: np.asarray(leaf[row]), got.terrain)
+        used = np.flatnonzero(terrain.height)
+        assert used.tolist() == [row]
+        np.testing.assert_array_equal(terrain.lower[row], np.asarray(wanted.lower[0]))
+        np.testing.assert_array_equal(terrain.upper[row], np.asarray(wanted.upper[0]))
+        np.testing.assert_array_equal(terrain.height[row], np.asarray(wanted.height[0]))
+
+
+def test_every_scenario_has_a_seed_of_its_own_and_keeps_it():
+    table = grid(friction=np.linspace(0.5, 0.9, 50).tolist())
+    a, b = inputs.complete(table, 1), inputs.complete(table, 1)
+    assert a.equals(b) and a["seed"].n_unique() == 50
+    assert not inputs.complete(table, 2)["seed"].equals(a["seed"])
+    assert inputs.complete(a, 5)["seed"].equals(a["seed"])  # a given column stays
+
+
+BAD_TABLES = [
+    ({"load_kg": [-1.0]}, "load_kg: got -1"),
+    ({"load_kg": [float("nan")]}, "load_kg: got nan"),
+    ({"load_kg": [1e9]}, "allowed: 0 to 200"),
+    ({"load_kg": ["five"]}, "allowed: numbers"),
+    ({"load_time_s": [-0.1]}, "load_time_s"),
+    ({"friction": [0.0]}, "friction: got 0"),
+    ({"friction": [float("inf")]}, "friction: got inf"),
+    ({"sinkage_m": [0.0]}, "sinkage_m"),
+    ({"damping_s_per_m": [-1.0]}, "damping_s_per_m"),
+    ({"trunk_mass_scale": [0.0]}, "trunk_mass_scale"),
+    ({"leg_mass_scale": [3.0]}, "leg_mass_scale"),
+    ({"com_x_m": [0.5]}, "com_x_m"),
+    ({"gain_scale": [0.0]}, "gain_scale"),
+    ({"delta_z_m": [-0.01]}, "delta_z_m"),
+    ({"delay_s": [1.0]}, "delay_s"),
+    ({"bounce_s": [-1e-3]}, "bounce_s"),
+    ({"force_noise_N": [-1.0]}, "force_noise_N"),
+    ({"angle_noise_rad": [1.0]}, "angle_noise_rad"),
+    ({"push_length_s": [-1.0]}, "push_length_s"),
+    ({"step_2_height_m": [0.5]}, "step_2_height_m"),
+    ({"step_02_height_m": [0.01]}, "got column 'step_02_height_m'"),
+    ({"weight": [3.0]}, "got column 'weight'"),
+    ({"seed": [1.5]}, "seed"),
+    ({"seed": [-1]}, "seed"),
+    ({}, "scenarios: got none"),
+    ({"friction": []}, "scenarios: got none"),
+]
+
+
+@pytest.mark.parametrize(("columns", "says"), BAD_TABLES)
+def test_bad_tables_are_refused(columns, says):
+    with pytest.raises(ValueError, match="allowed") as refusal:
+        inputs.complete(pl.DataFrame(columns), 0)
+    assert says in str(refusal.value)
+
+
+BAD_EXPERIMENTS = [
+    ({"arms": {}}, "arms: got none"),
+    ({"duration": 0.0}, "duration"),
+    ({"duration": float("nan")}, "duration"),
+    ({"batch": 0}, "batch: got 0"),
+    ({"seed": -1}, "seed: got -1"),
+    ({"options": sim.Options(trace_every=1)}, "trace_every"),
+    ({"scenarios": pl.DataFrame({"step_6_height_m": [0.01]})}, "step: got 6"),
+]
+
+
+@pytest.mark.parametrize(("changed", "says"), BAD_EXPERIMENTS)
+def test_bad_experiments_are_refused(surena, changed, says):
+    params, gait = surena
+    given = {"robot": params, "arms": {"off": adapt.Controller(gait)}, "scenarios": grid(friction=0.8)}
+    with pytest.raises(ValueError, match="allowed") as refusal:
+        Experiment(**{**given, **changed})
+    assert says in str(refusal.value)
+
+
+def test_overlapping_pads_are_refused():
+    params = robot.load("elkahlout")
+    gait = planner.CosineGait.preset(params, 6)
+    arms = {"off": adapt.Controller(gait)}
+    apart = pl.DataFrame({"step_1_height_m": [0.01, 0.0], "step_3_height_m": [0.0, 0.01]})
+    assert Experiment(params, arms, apart).rows == 2
+    both = pl.DataFrame({"step_1_height_m": [0.01], "step_3_height_m": [0.01]})
+    with pytest.raises(ValueError, match="steps 1 and 3 that overlap"):
+        Experiment(params, arms, both)
+
+
+def test_room_for_delay_and_noise_follows_from_the_scenarios(surena):
+    params, gait = surena
+    arms = {"off": adapt.Controller(gait)}
+    assert not Experiment(params, arms, grid(friction=0.8)).simulation.noise
+    noisy = Experiment(params, arms, grid(force_noise_N=[0.0, 5.0], delay_s=[0.0, 0.005]))
+    assert noisy.simulation.noise and noisy.simulation.delay_room == 3  # 2 ms a control tick
+
+
+@pytest.mark.parametrize(
+    ("rows", "lanes"), [(1, 8), (8, 8), (9, 16), (128, 128), (129, 72), (288, 96), (4096, 128)]
+)
+def test_chunks_cover_every_row_once_and_waste_little(surena, rows, lanes):
+    params, gait = surena
+    table = grid(friction=np.linspace(0.5, 0.9, rows).tolist())
+    one = Experiment(params, {"a": adapt.Controller(gait), "b": adapt.Controller(gait)}, table)
+    assert one.lanes == lanes
+    walked = [chunk.first_row + i for chunk in one.chunks for i in range(chunk.start, chunk.stop)]
+    assert walked == list(range(2 * rows)) and one.rows == 2 * rows
+    assert all(0 < chunk.stop - chunk.start <= lanes for chunk in one.chunks)

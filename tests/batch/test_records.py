@@ -1,0 +1,87 @@
+"""Records go to JSON and back, bit for bit, and differences are named."""
+
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbiped import adapt, planner, robot, sim
+from jaxbiped.batch import records
+
+
+def there_and_back(value):
+    return records.from_json(json.loads(json.dumps(records.to_json(value), allow_nan=False)))
+
+
+def every_record():
+    for name in robot.presets():
+        params = robot.load(name)
+        yield params
+        for gait in (planner.PolynomialGait.preset(params, 3), planner.CosineGait.preset(params, 3)):
+            yield adapt.Controller(gait)
+            for landing in (adapt.Landing.paper(), adapt.Landing.repaired()):
+                yield adapt.Controller(gait, landing=landing)
+    yield sim.Scenario.flat()
+    yield sim.Options(control_every=3, noise=True)
+
+
+def test_every_record_of_an_experiment_comes_back_bit_for_bit():
+    for record in every_record():
+        back = there_and_back(record)
+        assert jax.tree.structure(back) == jax.tree.structure(record)  # static fields are in it
+        for a, b in zip(jax.tree.leaves(record), jax.tree.leaves(back), strict=True):
+            assert np.asarray(a).dtype == np.asarray(b).dtype
+            assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_reflex_comes_back_and_still_steps():
+    params = robot.load("elkahlout")
+    gait = planner.CosineGait.preset(params, 3)
+    controller = adapt.Controller(gait, payload=adapt.PayloadReflex.modified(params, gait, threshold=40.0))
+    back = there_and_back(controller)
+    assert jax.tree.structure(back.init()) == jax.tree.structure(controller.init())
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32, np.int64, bool])
+def test_arrays_of_every_kind(dtype, x64):
+    array = np.array([[0.1, -3.0], [1e-30, 7.0]]).astype(dtype)
+    back = there_and_back(jnp.asarray(array))
+    assert back.dtype == array.dtype and np.asarray(back).tobytes() == array.tobytes()
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_what_json_does_not_know(value):
+    np.testing.assert_equal(there_and_back({"a": value, "b": np.array([1.0, value])})["a"], value)
+    np.testing.assert_equal(
+        np.asarray(there_and_back(np.array([1.0, value]))), np.array([1.0, value], np.float32)
+    )
+
+
+def test_plain_values():
+    value = {"a": [1, 2.5, "x", None, True], "b": (1, (2,))}
+    assert there_and_back(value) == value
+
+
+def test_strangers_are_refused():
+    with pytest.raises(TypeError, match="object"):
+        records.to_json(object())
+    for name in ("os:system", "equinox:Module", "jaxbiped.batch.records:to_json"):
+        with pytest.raises(ValueError, match="allowed: records of jaxbiped"):
+            records.from_json({"record": name})
+
+
+def test_differences_name_the_place():
+    params = robot.load("surena3")
+    gait = planner.PolynomialGait.preset(params, 3)
+    old, new = (
+        records.to_json(adapt.Controller(gait, landing=adapt.Landing.repaired(descent_speed=speed)))
+        for speed in (0.2, 0.25)
+    )
+    found = list(records.differences(old, new))
+    assert found and all("descent_speed" in line for line in found if "params" in line)
+    assert any("0.25" in line for line in found)
+    assert list(records.differences(old, old)) == []
+    assert list(records.differences({"a": 1}, {"b": 1})) == ["a: there -> missing", "b: missing -> there"]

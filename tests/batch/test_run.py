@@ -1,0 +1,295 @@
+"""The results table: resumed, refused, never half written; what one row says of a real walk."""
+
+import errno
+import json
+import math
+import os
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import numpy as np
+import polars as pl
+import pytest
+
+from jaxbiped import adapt, batch, planner, robot, score, sim
+from jaxbiped.batch import store, summary, workers
+
+
+@pytest.fixture(scope="module")
+def surena():
+    params = robot.load("surena3")
+    return params, planner.PolynomialGait.preset(params, 2)
+
+
+def experiment(surena, rows=20, **changed):
+    params, gait = surena
+    arms = {
+        "off": adapt.Controller(gait),
+        "repaired": adapt.Controller(gait, landing=adapt.Landing.repaired()),
+    }
+    table = batch.grid(friction=np.linspace(0.4, 0.9, rows).tolist())
+    given = {"robot": params, "arms": arms, "scenarios": table, "batch": 8, "duration": 0.02}
+    return batch.Experiment(**{**given, **changed})
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Chunks made up instead of walked; the names of those made."""
+    made = []
+
+    def walk(one, chunk):
+        made.append(chunk.number)
+        rows = np.arange(chunk.start, chunk.stop)
+        return pl.DataFrame(
+            {
+                "row": chunk.first_row + rows,
+                "arm": [chunk.arm] * len(rows),
+                "scenario": rows,
+                "success": rows % 3 != 0,
+                "end_time_s": np.sin(rows),
+            }
+        )
+
+    monkeypatch.setattr(workers, "walk_chunk", walk)
+    return made
+
+
+def table_bytes(folder: Path) -> bytes:
+    return (folder / store.TABLE).read_bytes()
+
+
+def test_table_has_every_row_once_and_is_kept(surena, quick, tmp_path):
+    one = experiment(surena)
+    table = batch.run(one, tmp_path, workers=1)
+    assert table["row"].to_list() == list(range(40))
+    assert quick == list(range(6))
+    assert batch.run(one, tmp_path, workers=1).equals(table) and quick == list(
+        range(6)
+    )  # nothing walked again
+    assert pl.read_parquet(tmp_path / store.TABLE).equals(table)
+
+
+def test_missing_parts_are_walked_again_and_the_table_is_the_same(surena, quick, tmp_path):
+    one = experiment(surena)
+    batch.run(one, tmp_path / "a", workers=1)
+    for stop in range(6):
+        folder, seen = tmp_path / f"b{stop}", []
+
+        def interrupt(p, seen=seen, stop=stop):
+            seen.append(p.done)
+            if len(seen) == stop + 1:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            batch.run(one, folder, workers=1, progress=interrupt)
+        assert not (folder / store.TABLE).exists()
+        assert len(list((folder / store.PARTS).glob("*.parquet"))) == stop
+        quick.clear()
+        batch.run(one, folder, workers=1)
+        assert quick == list(range(stop, 6))
+        assert table_bytes(folder) == table_bytes(tmp_path / "a")
+
+
+def test_a_part_left_half_written_does_not_count(surena, quick, tmp_path):
+    one = experiment(surena)
+    batch.run(one, tmp_path, workers=1)
+    whole, parts = table_bytes(tmp_path), sorted((tmp_path / store.PARTS).glob("*.parquet"))
+    parts[2].rename(parts[2].with_name(f".{parts[2].name}.x7d"))  # as a kill while it is written leaves it
+    quick.clear()
+    batch.run(one, tmp_path, workers=1)
+    assert quick == [2] and table_bytes(tmp_path) == whole
+
+
+def test_progress_counts_walks_failures_and_what_was_there(surena, quick, tmp_path):
+    one, seen = experiment(surena), []
+    table = batch.run(one, tmp_path, workers=1, progress=seen.append)
+    assert [p.done for p in seen] == [0, 8, 16, 20, 28, 36, 40] and {p.total for p in seen} == {40}
+    assert seen[-1].failed == (~table["success"]).sum() and seen[-1].seconds_left == 0.0
+    next((tmp_path / store.PARTS).glob("*-00000.parquet")).unlink()
+    again = []
+    batch.run(one, tmp_path, workers=1, progress=again.append)
+    assert [p.done for p in again] == [32, 40]
+
+
+CHANGES = {
+    "robot": lambda s: {"robot": robot.load("elkahlout")},
+    "friction": lambda s: {"scenarios": batch.grid(friction=np.linspace(0.4, 0.91, 20).tolist())},
+    "duration": lambda s: {"duration": 0.03},
+    "batch": lambda s: {"batch": 4},
+    "dt": lambda s: {"options": sim.Options(dt=1e-3)},
+    "seed": lambda s: {"seed": 5},
+    "arm": lambda s: {
+        "arms": {
+            "off": adapt.Controller(s[1]),
+            "repaired": adapt.Controller(s[1], landing=adapt.Landing.repaired(descent_speed=0.21)),
+        }
+    },
+    "gait": lambda s: {"arms": {"off": adapt.Controller(planner.PolynomialGait.preset(s[0], 3))}},
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_another_experiment_in_the_same_folder_is_refused_with_what_differs(surena, quick, tmp_path, what):
+    batch.run(experiment(surena), tmp_path, workers=1)
+    before = table_bytes(tmp_path)
+    other = experiment(surena, **CHANGES[what](surena))
+    with pytest.raises(batch.StoreError, match="another experiment") as refusal:
+        batch.run(other, tmp_path, workers=1)
+    assert "->" in str(refusal.value) and "allowed: another folder" in str(refusal.value)
+    assert table_bytes(tmp_path) == before
+    batch.run(other, tmp_path, workers=1, overwrite=True)
+    batch.run(other, tmp_path, workers=1)
+
+
+def test_other_code_is_another_experiment(surena, quick, tmp_path, monkeypatch):
+    batch.run(experiment(surena), tmp_path, workers=1)
+    monkeypatch.setattr(store, "source_hash", lambda: "0" * 64)
+    with pytest.raises(batch.StoreError, match="source_sha256"):
+        batch.run(experiment(surena), tmp_path, workers=1)
+
+
+def test_broken_experiment_file_is_refused(surena, quick, tmp_path):
+    batch.run(experiment(surena), tmp_path, workers=1)
+    for text in ("{", "[]", '{"experiment": 3}'):
+        (tmp_path / store.EXPERIMENT).write_text(text)
+        with pytest.raises(batch.StoreError, match="cannot be read"):
+            batch.run(experiment(surena), tmp_path, workers=1)
+        with pytest.raises(batch.StoreError, match="table: got"):
+            batch.open_table(tmp_path)
+
+
+def test_full_disk_is_a_clear_error_and_finished_parts_stay(surena, quick, tmp_path, monkeypatch):
+    real, calls = os.replace, []
+
+    def full(a, b):
+        calls.append(b)
+        if len(calls) == 6:  # experiment, scenarios, three parts, then no more room
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(a, b)
+
+    one = experiment(surena)
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(batch.StoreError, match="No space left on device"):
+        batch.run(one, tmp_path / "a", workers=1)
+    monkeypatch.undo()
+    parts = list((tmp_path / "a" / store.PARTS).iterdir())
+    assert len(parts) == 3 and all(pl.read_parquet(part).height for part in parts)  # and no temporary file
+
+
+@pytest.mark.parametrize("name", ["file", "file/below"])
+def test_folder_that_cannot_be_made_is_refused(surena, quick, tmp_path, name):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(batch.StoreError, match="allowed: a place that can be written"):
+        batch.run(experiment(surena), tmp_path / name, workers=1)
+
+
+def test_folder_without_results_is_no_table(surena, quick, tmp_path):
+    with pytest.raises(batch.StoreError, match="table: got"):
+        batch.open_table(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        batch.run(experiment(surena), tmp_path, workers=1, progress=interrupted)
+    with pytest.raises(batch.StoreError, match="without a finished chunk"):
+        batch.open_table(tmp_path)
+
+
+def interrupted(_):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("given", [0, -1, 5000])
+def test_bad_number_of_workers_is_refused(surena, tmp_path, given):
+    with pytest.raises(ValueError, match=f"workers: got {given}"):
+        batch.run(experiment(surena), tmp_path, workers=given)
+
+
+def test_plan_says_what_is_left(surena, quick, tmp_path):
+    one = experiment(surena)
+    plan = batch.plan(one, tmp_path, workers=2)
+    assert (plan.walks, plan.chunks, plan.chunks_done, plan.lanes, plan.workers) == (40, 6, 0, 8, 2)
+    assert plan.simulated_s == pytest.approx(40 * 0.02) and plan.wall_time_s > 0.0
+    assert not (tmp_path / store.EXPERIMENT).exists()
+    batch.run(one, tmp_path, workers=1)
+    assert batch.plan(one, tmp_path).chunks_done == 6 and batch.plan(one, tmp_path).wall_time_s == 0.0
+
+
+def test_progress_is_quiet_where_there_is_no_terminal(capsys):
+    batch.show()(batch.Progress(1, 2, 0, 1.0, 1.0))
+    assert capsys.readouterr() == ("", "")
+
+
+# Real walks ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def walked(surena, tmp_path_factory):
+    """Ten short walks: pushes from none to hard, one with gains that are not numbers."""
+    params, gait = surena
+    table = pl.DataFrame(
+        {
+            "push_y_N": [0.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 1000.0, 2500.0],
+            "push_time_s": [0.05] * 9,
+        }
+    )
+    table = table.with_columns(push_length_s=pl.lit(0.3))
+    folder = tmp_path_factory.mktemp("walked")
+    one = batch.Experiment(params, {"off": adapt.Controller(gait)}, table, duration=0.6, batch=4)
+    return one, batch.run(one, folder, workers=1), folder
+
+
+def test_a_row_says_what_a_single_walk_says(walked):
+    one, table, _ = walked
+    for row in (0, 3):
+        chosen = one.table[row]
+        scenario = jax.tree.map(lambda leaf: leaf[0], batch.scenarios_of(chosen, []))
+        walk = sim.rollout(one.robot, one.arms["off"], scenario, 0.6, one.simulation)
+        verdict = score.judge(walk, one.arms["off"].gait, scenario)
+        said = table.row(row, named=True)
+        assert said["status"] == score.STATUS_TEXT[int(verdict.status)] and said["success"] == bool(
+            verdict.success
+        )
+        s = walk.statistics
+        assert said["end_time_s"] == pytest.approx(float(s.end_time), abs=1e-6)
+        assert said["peak_roll_deg"] == pytest.approx(float(np.degrees(s.peak_roll_pitch[0])), abs=0.02)
+        assert said["peak_force_left_N"] == pytest.approx(float(s.peak_foot_force[0]), rel=0.01)
+        assert said["zmp_margin_m"] == pytest.approx(float(s.zmp_margin), abs=1e-3)
+        assert said["reach_margin_m"] == pytest.approx(float(s.reach_margin), abs=1e-5)
+        assert said["y_m"] == pytest.approx(float(s.p_world_trunk[1]), abs=1e-3)
+
+
+def test_harder_pushes_tilt_more_and_fell_last(walked):
+    _, table, _ = walked
+    status = table["status"].to_list()
+    assert status[0] == "unfinished" and status[-1] == "fell"
+    assert status == sorted(status, reverse=True)  # unfinished ones first, then those that fell
+    assert table.filter(status="unfinished")["peak_roll_deg"].is_sorted()
+    assert table.filter(status="fell")["end_time_s"].is_sorted(descending=True)
+    assert table["zmp_margin_m"][0] > 0.01 and table["zmp_margin_m"][-1] < 0.01
+
+
+def test_experiment_comes_back_from_its_folder(walked):
+    one, table, folder = walked
+    again, rows = batch.open_table(folder)
+    assert rows.equals(table) and again.resolved == one.resolved
+    described = json.loads((folder / store.EXPERIMENT).read_text())
+    assert {"experiment", "code", "key", "seed", "machine"} <= described.keys()
+
+
+def test_a_lane_that_is_not_a_number_is_a_status_and_the_others_live(surena, tmp_path):
+    params, gait = surena
+    broken = eqx.tree_at(lambda r: r.servo.kp, params, params.servo.kp * math.inf)
+    table = batch.grid(friction=[0.7, 0.8])
+    rows = batch.run(
+        batch.Experiment(broken, {"off": adapt.Controller(gait)}, table, duration=0.6, batch=4),
+        tmp_path,
+        workers=1,
+    )
+    assert rows["status"].to_list() == ["nonfinite"] * 2 and not rows["success"].any()
+    assert summary.cells(rows)["successes"].to_list() == [0]
+
+
+def test_two_dask_workers_give_the_same_table(walked, tmp_path):
+    pytest.importorskip("distributed")
+    one, _, folder = walked
+    batch.run(one, tmp_path, workers=2)
+    assert table_bytes(tmp_path) == table_bytes(folder)

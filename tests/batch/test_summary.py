@@ -1,0 +1,232 @@
+"""Numbers read out of a table of walks: against scipy, published examples, hand counts and planted causes."""
+
+import itertools
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import stats
+
+from jaxbiped.batch import summary
+
+
+def walks(arm: str, successes, **columns) -> pl.DataFrame:
+    successes = [bool(s) for s in successes]
+    return pl.DataFrame(
+        {"arm": [arm] * len(successes), "scenario": range(len(successes)), **columns, "success": successes}
+    )
+
+
+def paired_walks(both: int, only_first: int, only_second: int, neither: int) -> pl.DataFrame:
+    first = [True] * (both + only_first) + [False] * (only_second + neither)
+    second = [True] * both + [False] * only_first + [True] * only_second + [False] * neither
+    return pl.concat([walks("a", first), walks("b", second).reverse()])
+
+
+@pytest.mark.parametrize("confidence", [0.8, 0.95, 0.99])
+@pytest.mark.parametrize(("successes", "n"), [(0, 1), (1, 1), (0, 20), (7, 20), (20, 20), (9_950, 10_000)])
+def test_wilson_is_scipys(successes, n, confidence):
+    expected = stats.binomtest(successes, n).proportion_ci(confidence, method="wilson")
+    np.testing.assert_allclose(summary.wilson(successes, n, confidence), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_wilson_of_nothing_says_nothing_and_of_nonsense_fails():
+    assert summary.wilson(0, 0) == (0.0, 1.0)
+    for wrong in ((3, 2), (-1, 2)):
+        with pytest.raises(ValueError, match="successes"):
+            summary.wilson(*wrong)
+
+
+def test_cells_count_per_arm_and_value_in_the_tables_order_of_arms():
+    table = pl.concat(
+        [
+            walks("zeta", [1, 0, 1, 1], load_kg=[5.0, 5.0, 2.5, 5.0]),
+            walks("alpha", [0, 0], load_kg=[2.5, 2.5]),
+        ]
+    )
+    cells = summary.cells(table, ["load_kg"])
+    assert cells.columns == ["arm", "load_kg", "n", "successes", "rate", "low", "high"]
+    assert cells.select("arm", "load_kg", "n", "successes").rows() == [
+        ("zeta", 2.5, 1, 1),
+        ("zeta", 5.0, 3, 2),
+        ("alpha", 2.5, 2, 0),
+    ]
+    assert cells["rate"].to_list() == pytest.approx([1.0, 2 / 3, 0.0])
+    assert (cells["low"][1], cells["high"][1]) == summary.wilson(2, 3)
+    assert summary.cells(table).select("arm", "n").rows() == [("zeta", 4), ("alpha", 2)]
+    assert summary.cells(table.head(0), ["load_kg"]).is_empty()
+
+
+def test_times_that_never_come_are_no_times():
+    table = walks("a", [1, 0], load_time_s=[2.0, 1e6], load_kg=[1e6, 2.0])
+    cleaned = summary.without_never(table, ["load_time_s", "load_kg"])
+    assert cleaned["load_time_s"].to_list() == [2.0, None]
+    assert cleaned["load_kg"].to_list() == [1e6, 2.0]
+
+
+def test_newcombe_is_his_own_example():
+    """Newcombe (1998), the data of Armitage and Berry: 36, 12, 2 and 0 pairs give 0.0569 to 0.3404."""
+    assert summary.newcombe(36, 12, 2, 0) == pytest.approx((0.0569, 0.3404), abs=5e-5)
+
+
+def test_newcombe_by_hand_with_positive_correlation():
+    """1 success each in the same of 2 pairs: phi is corrected from 1 to 0, so that two Wilson intervals are squared."""
+    low, high = summary.wilson(1, 2)
+    half = math.hypot(0.5 - low, high - 0.5)
+    assert summary.newcombe(1, 0, 0, 1) == pytest.approx((-half, half))
+    phi = (8 * 6 - 1 * 5 - 10) / math.sqrt(9 * 11 * 13 * 7)
+    (low1, high1), (low2, high2) = summary.wilson(9, 20), summary.wilson(13, 20)
+    down, up = (0.45 - low1, high2 - 0.65), (high1 - 0.45, 0.65 - low2)
+    expected = [
+        -0.2 + sign * math.sqrt(a * a + b * b - 2 * phi * a * b) for sign, (a, b) in ((-1, down), (1, up))
+    ]
+    assert summary.newcombe(8, 1, 5, 6) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("counts", [c for c in itertools.product((0, 1, 7), repeat=4) if sum(c)])
+def test_newcombe_holds_the_difference_and_is_antisymmetric(counts):
+    both, first, second, neither = counts
+    low, high = summary.newcombe(*counts)
+    difference = (first - second) / sum(counts)
+    assert -1.0 - 1e-12 <= low <= difference + 1e-12 and difference - 1e-12 <= high <= 1.0 + 1e-12
+    assert low < high
+    assert summary.newcombe(both, second, first, neither) == pytest.approx((-high, -low))
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 0), (0, 1), (5, 0), (3, 9), (4, 4), (40, 75), (900, 1100)])
+def test_mcnemar_is_scipys_binomial_test(first, second):
+    expected = stats.binomtest(first, first + second).pvalue if first + second else 1.0
+    assert summary.mcnemar(first, second) == pytest.approx(expected, rel=1e-9)
+
+
+def test_paired_counts_scenarios_whatever_their_order():
+    result = summary.paired(paired_walks(36, 12, 2, 0), "a", "b")
+    # b is written backwards, so that only the scenario's number tells which rows belong together
+    assert (result.both, result.only_first, result.only_second, result.neither) == (36, 12, 2, 0)
+    assert (result.arm, result.against, result.n, result.unpaired) == ("a", "b", 50, 0)
+    assert result.difference == pytest.approx(0.2)
+    assert (result.low, result.high) == summary.newcombe(36, 12, 2, 0)
+    assert result.p_value == pytest.approx(2 * (1 + 14 + 91) / 2**14)
+
+
+def test_paired_leaves_out_what_only_one_arm_met_and_refuses_what_cannot_be_paired():
+    table = pl.concat([walks("a", [1, 1, 0]), walks("b", [0, 1])])
+    result = summary.paired(table, "a", "b")
+    assert (result.n, result.unpaired, result.both, result.only_first) == (2, 1, 1, 1)
+    with pytest.raises(ValueError, match="no arm 'c'; there are a, b"):
+        summary.paired(table, "a", "c")
+    with pytest.raises(ValueError, match="more than once"):
+        summary.paired(pl.concat([table, walks("b", [1])]), "a", "b")
+    apart = table.with_columns(scenario=pl.int_range(pl.len()))
+    with pytest.raises(ValueError, match="no scenario in common"):
+        summary.paired(apart, "a", "b")
+
+
+def rates(arm: str, by: dict[float, dict[float, int]], what: str, over: str) -> pl.DataFrame:
+    """Twenty walks at each value, of which so many succeed."""
+    rows = [(o, w, i < n) for o, cell in by.items() for w, n in cell.items() for i in range(20)]
+    return walks(arm, [s for *_, s in rows], **{what: [w for _, w, _ in rows], over: [o for o, *_ in rows]})
+
+
+def test_frontier_ends_where_the_rate_first_falls_short():
+    cells = {
+        1.0: {2.5: 20, 5.0: 19, 7.5: 10, 10.0: 9, 12.5: 20},
+        2.0: {2.5: 18, 5.0: 20, 7.5: 20, 10.0: 20, 12.5: 20},
+        3.0: {2.5: 9, 5.0: 20},
+    }
+    table = rates("a", cells, "load_kg", "load_time_s").sample(fraction=1.0, shuffle=True, seed=1)
+    limits = summary.frontier(table)
+    assert limits.columns == ["arm", "load_time_s", "direction", "level", "load_kg", "beyond"]
+    assert limits.drop("arm", "direction").rows() == [
+        (1.0, 0.95, 5.0, False),
+        (1.0, 0.5, 7.5, False),
+        (2.0, 0.95, None, False),
+        (2.0, 0.5, 12.5, True),
+        (3.0, 0.95, None, False),
+        (3.0, 0.5, None, False),
+    ]
+
+
+def test_signed_frontier_goes_both_ways_from_zero():
+    heights = {-0.04: 0, -0.02: 20, 0.0: 20, 0.02: 20, 0.04: 20}
+    both = rates("both", {1.0: heights}, "step_2_height_m", "friction")
+    upward = rates("up", {1.0: {0.02: 20, 0.04: 0}}, "step_2_height_m", "friction")
+    table = pl.concat([both, upward])
+    limits = summary.frontier(table, "step_2_height_m", None, (0.95,), signed=True)
+    assert limits.rows() == [
+        ("both", "up", 0.95, 0.04, True),
+        ("both", "down", 0.95, -0.02, False),
+        ("up", "up", 0.95, 0.02, False),
+    ]
+    unsigned = summary.frontier(table, "step_2_height_m", None, (0.95,))
+    assert unsigned["step_2_height_m"].to_list() == [None, 0.02]
+
+
+def test_frontier_leaves_out_walks_without_the_event():
+    table = walks("a", [1, 0], load_kg=[2.5, 0.0], load_time_s=[2.0, 1e6])
+    assert summary.frontier(table, levels=(0.5,))["load_kg"].to_list() == [2.5]
+
+
+def planted(n: int = 4_000) -> pl.DataFrame:
+    """Friction alone decides in arm a, and in arm b half of the walks fail whatever they meet."""
+    rng = np.random.default_rng(0)
+    columns = {
+        "load_kg": rng.uniform(0, 20, n),
+        "friction": rng.uniform(0.2, 1.0, n),
+        "step_1_height_m": rng.choice([-0.02, 0.0, 0.02], n),
+        "com_x_m": np.full(n, 0.01),
+        "seed": rng.integers(0, 2**31, n),
+    }
+    outcome = {"peak_pitch_deg": rng.normal(size=n)}
+    decided = walks("a", columns["friction"] > 0.6, **columns, **outcome)
+    return pl.concat([decided, walks("b", rng.random(n) < 0.5, **columns, **outcome)])
+
+
+def test_causes_find_the_input_that_decides():
+    found = summary.causes(planted())
+    assert sorted(found["input"].unique()) == [
+        "friction",
+        "load_kg",
+        "step_1_height_m",
+    ]  # what varies, and was given
+    first = found.row(0, named=True)
+    assert (first["arm"], first["input"], first["bins"]) == ("a", "friction", 8)
+    assert first["information_bits"] == pytest.approx(1.0, abs=0.08)
+    assert first["share"] == pytest.approx(1.0, abs=0.08)
+    assert (first["rate_lowest"], first["rate_highest"]) == (0.0, 1.0)
+    assert (first["lowest_to"], first["highest_from"]) == pytest.approx((0.3, 0.9), abs=0.02)
+    for row in found[1:].iter_rows(named=True):
+        assert 0.0 <= row["information_bits"] < 3e-3
+    for _, rows in found.group_by("arm"):
+        assert rows["information_bits"].is_sorted(descending=True)
+    heights = found.filter(arm="b", input="step_1_height_m").row(0, named=True)
+    assert (heights["bins"], heights["lowest_to"], heights["highest_from"]) == (3, -0.02, 0.02)
+
+
+def test_causes_take_missing_values_for_a_part_of_their_own():
+    """Whoever was loaded fell: that no load ever came is what saved the others."""
+    loaded = np.arange(400) % 2 == 0
+    table = walks("a", ~loaded, load_time_s=np.where(loaded, 2.0 + np.arange(400) / 400, 1e6))
+    row = summary.causes(table).row(0, named=True)
+    assert row["information_bits"] == pytest.approx(1.0, abs=0.02)
+    assert (row["rate_lowest"], row["rate_highest"], row["bins"]) == (0.0, 0.0, 9)
+    assert row["highest_from"] < 3.0
+
+
+def test_causes_of_nothing_are_none():
+    found = summary.causes(planted().head(0))
+    assert found.is_empty() and "information_bits" in found.columns
+    always = summary.causes(walks("a", [1] * 50, friction=np.linspace(0.2, 1.0, 50)))
+    assert always.select("information_bits", "share").rows() == [(0.0, 0.0)]
+
+
+def test_information_is_corrected_for_the_number_of_walks():
+    """Uncorrected, 8 bins without influence seem to tell 7 / (2 n ln 2) bits on average."""
+    rng, n = np.random.default_rng(3), 200
+    plain = 7 / (2 * n * math.log(2.0))
+    told = [summary.information(rng.integers(0, 8, n), rng.integers(0, 2, n)) for _ in range(400)]
+    assert min(told) >= 0.0
+    assert np.mean(told) < 0.5 * plain
+    same = np.repeat([0, 1], 100)
+    assert summary.information(same, same) == pytest.approx(1.0 + 1 / (2 * n * math.log(2.0)))
