@@ -14,51 +14,21 @@ import pytest
 from jaxbiped import cli, planner, robot
 from jaxbiped.commands import demo
 
-FIGURES = {
-    "khadiv_fig6_feet.png",
-    "khadiv_fig7_pelvis.png",
-    "khadiv_fig8_zmp_x.png",
-    "khadiv_fig9_zmp_y.png",
-    "surena3_feasibility.png",
-    "elkahlout_fig3_2_feet.png",
-    "elkahlout_zmp_x.png",
-    "elkahlout_zmp_y.png",
-    "elkahlout_feasibility.png",
-    "surena3_obstacles_tilt_and_forces.png",
-    "surena3_obstacles_modifications.png",
-}
 
-
-def test_demo_draws_both_walks_and_says_how_feasible_they_are(tmp_path, capsys):
-    out = tmp_path / "new" / "folder"
-    assert cli.main(["demo", "--out", str(out), "--json"]) == cli.OK
-    said, complained = capsys.readouterr()
-    assert complained == ""
-
-    assert {file.name for file in out.iterdir()} == FIGURES
-    for file in out.iterdir():
-        assert file.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-        assert file.stat().st_size > 10_000
-
-    result = json.loads(said.splitlines()[-1])
-    assert {Path(file).name for file in result["files"]} == FIGURES
-    assert result["walks"].keys() == {"surena3", "elkahlout"}
-    for name, walk in result["walks"].items():
-        assert walk["robot"] == name
-        assert walk["in_reach"]
-        assert walk["zmp_margin_min_m"] > 0.001
-        assert 0.0 < walk["friction_max"] < 0.3
-        assert 0.0 < walk["torque_share_max"] < 1.0
-        assert 0.0 < walk["speed_share_max"] < 1.0
-        assert walk["knee_bend_min_rad"] > 0.2
-        assert f"{1e3 * walk['zmp_margin_min_m']:.1f} mm" in said
-    assert result["walks"]["surena3"]["zmp_margin_min_m"] > 0.07
-
-    adapted, open_loop = (result["obstacles"][name] for name in ("landing adaptation", "no adaptation"))
-    assert adapted["status"] == "ok"
-    assert adapted["peak_roll_deg"] < 3.0 and adapted["peak_foot_force_N"] < 1700.0
-    assert open_loop["status"] == "fell"
-    assert open_loop["end_time_s"] < adapted["end_time_s"]
+@pytest.mark.parametrize(
+    ("name", "gait"), [("surena3", planner.PolynomialGait), ("elkahlout", planner.CosineGait)]
+)
+def test_demo_says_how_feasible_both_plans_are(name, gait):
+    params = robot.load(name)
+    walk = demo.summary_of(demo.plan_of(params, gait.preset(params, demo.N_STEPS)))
+    assert walk["robot"] == name
+    assert walk["in_reach"]
+    assert walk["zmp_margin_min_m"] > (0.07 if name == "surena3" else 0.001)
+    assert 0.0 < walk["friction_max"] < 0.3
+    assert 0.0 < walk["torque_share_max"] < 1.0
+    assert 0.0 < walk["speed_share_max"] < 1.0
+    assert walk["knee_bend_min_rad"] > 0.2
+    assert f"{1e3 * walk['zmp_margin_min_m']:.1f} mm" in demo.in_words(walk)
 
 
 @pytest.mark.parametrize("name", robot.presets())

@@ -251,10 +251,11 @@ class LandingStage(eqx.Module):
         if not p.commanded_velocity:
             planned = (nominal.velocity, nominal.acceleration)
             velocity, acceleration = (leaf.sole[phase.swing, jnp.array([0, 2])] for leaf in planned)
+            velocity = velocity + acceleration * (tau - phase.time_since_liftoff)
         late = tau > phase.T_s
         T_mod = self.T_mod
         if p.no_undershoot:
-            T_mod = jnp.minimum(T_mod, longest_time_to_rest(velocity[1], acceleration[1], p.delta_z))
+            T_mod = jnp.minimum(T_mod, _longest_set_down(velocity[1], acceleration[1], p.delta_z))
         in_plan = phase.kind == PLANNED_STEP
         way = jnp.where(in_plan, self.delta_x[phase.step], 0.5 * velocity[0] * T_mod)
         return eqx.tree_at(
@@ -370,14 +371,24 @@ def _descent(p: Landing, t: Scalar, T_d: Scalar) -> Scalar:
     """How far foot and pelvis have descended `t` seconds after T_s [m] (khadiv Eqs. 12 and 14).
 
     Smooth: speeds up, goes on at descent_speed, and slows down so as to stand still at max_descent or at T_c,
-    whichever comes first.
+    whichever comes first; where that is too near for descent_speed, it turns back half-way.
     """
     t = jnp.clip(t, 0.0, T_d)
     if not p.smooth_descent:
         return p.descent_speed * t
-    ramp = jnp.minimum(p.descent_speed / p.descent_acceleration, 0.5 * T_d)
-    stop = jnp.clip(p.max_descent / p.descent_speed + ramp, 2.0 * ramp, T_d)
+    slope = p.descent_acceleration
+    fastest = jnp.minimum(jnp.sqrt(slope * p.max_descent), 0.5 * slope * T_d)
+    speed = jnp.minimum(p.descent_speed, fastest)
+    ramp = speed / slope
+    stop = jnp.clip(p.max_descent / speed + ramp, 2.0 * ramp, T_d)
     t = jnp.minimum(t, stop)
     up, left = jnp.minimum(t, ramp), jnp.maximum(t - (stop - ramp), 0.0)
-    slope = p.descent_speed / ramp
-    return 0.5 * slope * up * up + p.descent_speed * (t - up) - 0.5 * slope * left * left
+    return 0.5 * slope * up * up + speed * (t - up) - 0.5 * slope * left * left
+
+
+def _longest_set_down(velocity: Scalar, acceleration: Scalar, way: Scalar) -> Scalar:
+    """T* [s] also of a foot that does not go down: a T^2 + 8 v T + 20 way >= 0, with v >= 0 limited for a < 0 only."""
+    rising = (velocity >= 0.0) & (acceleration < -1e-6)  # next to none: minutes, and no finite derivative
+    v, a = jnp.where(rising, velocity, 0.0), jnp.where(rising, acceleration, -1.0)
+    limit = (4.0 * v + jnp.sqrt(16.0 * v * v - 20.0 * a * way)) / -a
+    return jnp.where(rising, limit, longest_time_to_rest(velocity, acceleration, way))

@@ -23,6 +23,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt.blends import longest_time_to_rest, quintic_to_rest, smooth
@@ -63,12 +64,28 @@ X_REFLEX_MODIFIED = ((-0.01, 0.01), (0.01, -0.01), (0.0, 0.0))
 X_REFLEX_NONE = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
 _STEADY_SHARE = 2.4
 """Double support of a steady recovery step over its single support: time to get over the stance foot and back."""
-_SMALLEST_STEP = 0.02
-"""f below which a steady recovery makes no step."""
+_SMALLEST_WAY = 1e-4
+"""Missing step length below which a steady recovery makes no step, but lets the feet give [m]: rounding, or what the
+parabola about the tick of the trigger is out by."""
+_NOTHING, _FAST, _SLOW = range(3)
+"""Which low-pass has felt a load."""
+_UNITS = {
+    "zmp_balanced": "m",
+    "x_reflex": "m",
+    "x_stand": "m",
+    "threshold": "N",
+    "slow_threshold": "N",
+    "x_ref_gain": "",
+}
+"""Of the parameters; the others are times [s]."""
 
 
 def _table(value: Any) -> Any:
     return jnp.asarray(value, jnp.result_type(float))
+
+
+def _scalar_or_none(value: Any) -> Any:
+    return None if value is None else as_scalar(value)
 
 
 class PayloadReflex(eqx.Module):
@@ -86,17 +103,18 @@ class PayloadReflex(eqx.Module):
     slow_time_constant: Scalar = eqx.field(converter=as_scalar, default=1.0)
     """Of the slower low-pass [s]."""
     rearm_time: Scalar = eqx.field(converter=as_scalar, default=2.5)
-    """For how long after going on the slower low-pass decides [s]."""
+    """For how long after going on the slower low-pass decides [s]; infinite: from the first reflex on, for good."""
     force_time_constant: Scalar = eqx.field(converter=as_scalar, default=FORCE_TIME_CONSTANT)
     """Of the low-pass of the summed foot force, Eq. 3.7 [s]."""
     zmp_time_constant: Scalar = eqx.field(converter=as_scalar, default=ZMP_TIME_CONSTANT)
     """Of the low-pass of the ZMP, Eq. 3.18 [s]."""
-    x_stand: Scalar | None = None
+    x_stand: Scalar | None = eqx.field(converter=_scalar_or_none, default=None)
     """Sole forward of the pelvis on which a steady recovery stands alone [m]; None: wherever it is."""
     reflex_time: Scalar = eqx.field(converter=as_scalar, default=0.1)
     """t_refl_per [s]."""
     body_time: Scalar = eqx.field(converter=as_scalar, default=1.2)
-    """Longest time in which a smooth reflex brings the body sideways to the middle [s]."""
+    """Longest time in which a smooth reflex brings the body sideways to the middle [s]; it has to be there when the ZMP
+    is read."""
     settling_time: Scalar = eqx.field(converter=as_scalar, default=4.0)
     """t_set_t [s]."""
     shift_time: Scalar = eqx.field(converter=as_scalar, default=0.5)
@@ -109,6 +127,9 @@ class PayloadReflex(eqx.Module):
     steady_recovery: bool = eqx.field(static=True, default=True)
     """Repair: the recovery step takes a whole T_s, with the body over the stance foot, and the body advances after it
     instead of during it."""
+    starts_again: bool = eqx.field(static=True, default=True)
+    """A further change of weight starts the reflex again; False: once, as the thesis' experiments have it. On a robot
+    that rocks under its load the literal arms would set themselves off again."""
     smooth_resume: bool = eqx.field(static=True, default=True)
     """Repair: the plan is brought up to speed over a double support instead of at once."""
     interpolate: bool = eqx.field(static=True, default=True)
@@ -116,7 +137,10 @@ class PayloadReflex(eqx.Module):
 
     def __check_init__(self) -> None:
         """Refuse what cannot be meant."""
-        units = {"threshold": "N", "slow_threshold": "N"}
+        for name in ("zmp_balanced", "x_ref_gain", "x_stand"):
+            self._require(name, "finite", np.isfinite)
+        self._require("x_reflex", "finite", np.isfinite, shape=(3, 2))
+        self._require("rearm_time", ">= 0", lambda value: value >= 0.0)
         for name in (
             "threshold",
             "slow_threshold",
@@ -128,9 +152,24 @@ class PayloadReflex(eqx.Module):
             "settling_time",
             "shift_time",
         ):
-            value, unit = getattr(self, name), units.get(name, "s")
-            if jnp.ndim(value) == 0 and is_concrete(value) and not value > 0.0:
-                raise ValueError(f"{name}: got {float(value):g} {unit}, allowed: > 0 {unit}")
+            self._require(name, "finite, > 0", lambda value: (value > 0.0) & np.isfinite(value))
+        if self.smooth_reflex and is_concrete(self.reflex_time, self.settling_time):
+            still = float(self.reflex_time) + float(self.settling_time)
+            allowed = f"<= reflex_time + settling_time = {still:g}"
+            self._require("body_time", allowed, lambda value: value <= still * (1.0 + 1e-6))
+
+    def _require(self, name: str, allowed: str, fine: Any, shape: tuple[int, ...] = ()) -> None:
+        """Raise unless a parameter has this shape and, where its value is known, is fine."""
+        value, unit = getattr(self, name), _UNITS.get(name, "s")
+        if value is None:
+            return
+        if jnp.shape(value) != shape:
+            raise ValueError(f"{name}: got shape {jnp.shape(value)}, allowed: {shape} {unit}".rstrip())
+        if is_concrete(value) and not np.all(fine(np.asarray(value))):
+            got = str(np.asarray(value).tolist()) if shape else f"{float(value):g}"
+            raise ValueError(
+                f"{name}: got {f'{got} {unit}'.rstrip()}, allowed: {f'{allowed} {unit}'.rstrip()}"
+            )
 
     @classmethod
     def original(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
@@ -145,18 +184,16 @@ class PayloadReflex(eqx.Module):
     @classmethod
     def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
         """With every repair; the feet stay where they are or come down."""
-        of_plan = _of_plan(robot, gait)
-        ours = {
-            "x_reflex": X_REFLEX_NONE,
-            "x_stand": of_plan["zmp_balanced"] - robot.p_sole_corner[..., 0].mean(),
-            "reflex_time": 0.5,
-        }
-        return cls(**{**of_plan, **ours, **parameters})
+        ours = {"x_reflex": X_REFLEX_NONE, "reflex_time": 0.5}
+        if "x_stand" not in parameters:
+            ours["x_stand"] = standing_zmp(robot, gait) - robot.p_sole_corner[..., 0].mean()
+        return cls(**{**_of_plan(robot, gait, parameters), **ours, **parameters})
 
     @classmethod
     def _literal(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        switches = {name: False for name in ("smooth_reflex", "steady_recovery", "smooth_resume")}
-        return cls(**{**_of_plan(robot, gait), **switches, **parameters})
+        names = ("smooth_reflex", "steady_recovery", "smooth_resume", "starts_again")
+        switches = dict.fromkeys(names, False)
+        return cls(**{**_of_plan(robot, gait, parameters), **switches, **parameters})
 
 
 class PayloadState(eqx.Module):
@@ -336,7 +373,10 @@ class PayloadStage(eqx.Module):
             state, before.slow_force, state.slow_force, p.slow_threshold, before.time
         )
         fast, slow = fast & walking & calm, slow & (walking | (state.mode >= SHIFT))
-        return fast | slow, jnp.where(fast, fast_time, slow_time)
+        if not p.starts_again:
+            fast, slow = fast & ~again, slow & ~again
+        felt = _decided(jnp.where(fast, _FAST, jnp.where(slow, _SLOW, _NOTHING)))
+        return felt != _NOTHING, jnp.where(felt == _FAST, fast_time, slow_time)
 
     def _crossing(
         self, state: PayloadState, then: Scalar, now: Scalar, threshold: Scalar, time: Scalar
@@ -426,7 +466,7 @@ class PayloadStage(eqx.Module):
     def _advance(self, state: PayloadState, before: PayloadState, timing: Timing) -> PayloadState:
         """Leave a mode whose time is over."""
         end = self._ends(state, timing)[state.mode]
-        over = (state.mode != WALK) & (state.time >= end)
+        leaving = _decided(jnp.where(state.time >= end, state.mode, WALK))
         stay = lambda s: s  # noqa: E731
 
         def to(mode: int) -> Any:
@@ -462,7 +502,7 @@ class PayloadStage(eqx.Module):
             return eqx.tree_at(lambda t: (t.mode, t.slow_force), s, values)
 
         leave = [stay, settle, read, to(RECOVER), to(HOLD), resume]
-        return jax.lax.switch(jnp.where(over, state.mode, WALK), leave, state)
+        return jax.lax.switch(leaving, leave, state)
 
     def _recovery(self, state: PayloadState, timing: Timing) -> _Recovery:
         """Eqs. 3.22-3.25; Eq. 3.23 by the step length that is missing, its half in the symmetric stance."""
@@ -472,7 +512,7 @@ class PayloadStage(eqx.Module):
         missing = (goal[swing, 0] - state.end[swing, 0]) - (goal[1 - swing, 0] - state.end[1 - swing, 0])
         f = jnp.minimum(0.5 * jnp.abs(missing) / self.stride, 0.999)
         if self.params.steady_recovery:
-            steps = jnp.where(f > _SMALLEST_STEP, 1.0, 0.0)
+            steps = jnp.where(jnp.abs(missing) > _SMALLEST_WAY, 1.0, 0.0)
             half_distance = 0.5 * (goal[LEFT, 1] - goal[RIGHT, 1])
             return _Recovery(
                 swing, f, T_s, _STEADY_SHARE * T_s, steps * half_distance, steps * self.lift, goal
@@ -667,12 +707,13 @@ def resume_plan_times(gait: Gait) -> Float[Array, " n"]:
     return jnp.concatenate([jnp.zeros((1,), middle.dtype), middle, gait.duration[None]])
 
 
-def _of_plan(robot: RobotParams, gait: Gait) -> dict[str, Scalar]:
-    """What a robot and its plan say about the parameters."""
-    return {
-        "zmp_balanced": standing_zmp(robot, gait),
-        "threshold": SMALLEST_LOAD + planned_ripple(robot, gait),
+def _of_plan(robot: RobotParams, gait: Gait, given: dict[str, Any]) -> dict[str, Scalar]:
+    """What a robot and its plan say about the parameters that are not given."""
+    says = {
+        "zmp_balanced": lambda: standing_zmp(robot, gait),
+        "threshold": lambda: SMALLEST_LOAD + planned_ripple(robot, gait),
     }
+    return {name: say() for name, say in says.items() if name not in given}
 
 
 def planned_ripple(robot: RobotParams, gait: Gait, samples_per_step: int = 60) -> Scalar:
@@ -688,6 +729,15 @@ def standing_zmp(robot: RobotParams, gait: Gait) -> Scalar:
     angle, _ = body.joint_angles(robot, task.sole - task.pelvis)
     pose = body.pose(robot, jnp.zeros(3, angle.dtype), jnp.eye(3, dtype=angle.dtype), angle)
     return body.com(robot, pose)[0]
+
+
+def _decided(choice: Int[Array, ""]) -> Int[Array, ""]:
+    """The same small number >= 0, computed once and read by all that goes by it.
+
+    XLA fuses a comparison into each of its uses and may contract products and sums differently there; half a record
+    would go one way, half the other. A sort it neither fuses nor makes twice; lax.optimization_barrier is gone by then.
+    """
+    return jax.lax.sort(jnp.stack([choice, jnp.full_like(choice, jnp.iinfo(choice.dtype).max)]))[0]
 
 
 def _foot_ahead(x: Float[Array, "2"]) -> Int[Array, ""]:

@@ -1,5 +1,6 @@
 """The batch tester: experiments, workers, and a results table that survives anything."""
 
+from jaxbiped.batch import summary
 from jaxbiped.batch.draws import Choice, Normal, Uniform, draw, grid
 from jaxbiped.batch.experiment import Experiment
 from jaxbiped.batch.inputs import INPUTS, NEVER, height_column, scenarios_of, steps_of
@@ -27,4 +28,5 @@ __all__ = [
     "scenarios_of",
     "show",
     "steps_of",
+    "summary",
 ]

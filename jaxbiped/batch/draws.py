@@ -82,7 +82,9 @@ def grid(**values: float | int | Sequence[float | int]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=dict.fromkeys(columns, pl.Float64), orient="row")
 
 
-def draw(n: int, seed: int, *, latin_hypercube: bool = True, **columns: float | int | Distribution) -> pl.DataFrame:
+def draw(
+    n: int, seed: int, *, latin_hypercube: bool = True, **columns: float | int | Distribution
+) -> pl.DataFrame:
     """`n` random scenarios.
 
     Args:

@@ -9,6 +9,7 @@ Every file is written under a temporary name and renamed, so that what bears its
 the resolved experiment and of the code: finished parts count only for the experiment they were made by.
 """
 
+import contextlib
 import hashlib
 import io
 import json
@@ -16,6 +17,7 @@ import os
 import platform
 import shutil
 import tempfile
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,8 @@ from jaxbiped.batch.experiment import Chunk, Experiment
 
 EXPERIMENT, SCENARIOS, TABLE, PARTS = "experiment.json", "scenarios.parquet", "table.parquet", "parts"
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars")
+
+PARQUET_END = b"PAR1"
 
 
 class StoreError(ValueError):
@@ -44,8 +48,7 @@ class Store:
             StoreError: if the folder holds another experiment, or cannot be written.
         """
         self.folder, self.experiment = folder, experiment
-        code = {**_versions(), "source_sha256": source_hash()}
-        self.description = {"experiment": experiment.resolved, "code": code}
+        self.description = {"experiment": experiment.resolved, "code": code()}
         self.key = _key(self.description)
         try:
             if overwrite and (folder / EXPERIMENT).exists():
@@ -59,14 +62,19 @@ class Store:
             self._require_same()
         else:
             self._begin()
+        if not _is_whole(folder / SCENARIOS):
+            write_frame(folder / SCENARIOS, experiment.table)
 
     def part(self, chunk: Chunk) -> Path:
         """File of a chunk."""
         return self.folder / PARTS / f"{self.key[:16]}-{chunk.number:05d}.parquet"
 
     def missing(self) -> list[Chunk]:
-        """Chunks that are still to be walked."""
-        return [chunk for chunk in self.experiment.chunks if not self.part(chunk).exists()]
+        """Chunks that are still to be walked; what is left of a part that something else broke is dropped."""
+        missing = [chunk for chunk in self.experiment.chunks if not _is_whole(self.part(chunk))]
+        for chunk in missing:
+            self.part(chunk).unlink(missing_ok=True)
+        return missing
 
     def write(self, chunk: Chunk, rows: pl.DataFrame) -> None:
         """Keep the rows of a finished chunk.
@@ -106,8 +114,10 @@ class Store:
             )
 
     def _clear(self) -> None:
+        """What depends on a file goes before it, so that a kill in between leaves nothing without its description."""
+        (self.folder / TABLE).unlink(missing_ok=True)
         shutil.rmtree(self.folder / PARTS, ignore_errors=True)
-        for name in (EXPERIMENT, SCENARIOS, TABLE):
+        for name in (EXPERIMENT, SCENARIOS):
             (self.folder / name).unlink(missing_ok=True)
 
 
@@ -154,14 +164,21 @@ def write_bytes(path: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(name, path)
+        _keep_name(path)
     except OSError as error:
         if name is not None:
             Path(name).unlink(missing_ok=True)
         raise _refusal(path, error) from error
 
 
+def code() -> dict[str, str]:
+    """What the rows depend on besides the experiment: versions of packages, and a hash of this one's source."""
+    return {**_versions(), "source_sha256": source_hash()}
+
+
+@cache
 def source_hash() -> str:
-    """Of all Python and data files of the package."""
+    """Of all Python and data files of the package, as they were when first asked."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(root.rglob("*")):
@@ -169,6 +186,26 @@ def source_hash() -> str:
             digest.update(str(file.relative_to(root)).encode())
             digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a Parquet file is there and ends as one: a disk that was lost or filled by others may have cut it."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(PARQUET_END), os.SEEK_END)
+            return file.read() == PARQUET_END
+    except OSError:
+        return False
+
+
+def _keep_name(path: Path) -> None:
+    """Have the disk keep the new name of a file, where it can be asked to."""
+    with contextlib.suppress(OSError):
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def _key(description: dict[str, Any]) -> str:

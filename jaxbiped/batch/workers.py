@@ -1,9 +1,15 @@
 """Who walks the chunks: this process, or Dask workers, one single-threaded process for each core or GPU."""
 
+import asyncio
 import contextlib
 import logging
 import os
+import queue
+import re
+import time
+import uuid
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +18,7 @@ import polars as pl
 
 from jaxbiped.batch.experiment import Chunk, Experiment
 from jaxbiped.batch.part import walk_chunk
+from jaxbiped.batch.store import code
 
 ONE_THREAD = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
@@ -22,7 +29,17 @@ ONE_THREAD = {
 }
 """Environment of a process that is to use one core; XLA reads its flags when it is first used."""
 DEATHS = 10
-"""How many workers may die over one chunk before it is given up."""
+"""How many workers may die over one chunk before it is given up; of a scheduler elsewhere its own setting counts."""
+DEAF = "import signal\n\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+"""Script of a worker of this process: a Ctrl-C reaches it too, but it is this process that says what is to be done."""
+PATIENCE_S = 60.0
+"""How long a scheduler may be without any worker before the run is given up."""
+POLL_S = 1.0
+"""How long nothing may finish before the workers are counted."""
+CONNECT_S = 10
+"""How long a scheduler may take to answer."""
+ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})")
+"""Of a scheduler."""
 Done = Generator[tuple[Chunk, pl.DataFrame], None, None]
 
 
@@ -49,43 +66,109 @@ def on_dask(experiment: Experiment, chunks: list[Chunk], workers: int, scheduler
     find what it compiled in JAX's compilation cache.
 
     Raises:
-        WorkersError: if the workers cannot be reached, or die over and over.
+        ValueError: if the address is none.
+        WorkersError: if the workers cannot be reached, run other code, or die over and over.
     """
-    import distributed
-    from distributed.client import FutureCancelledError
-
+    if scheduler is not None:
+        require_address(scheduler)
     waiting: dict[str, list[Chunk]] = {}
     for chunk in chunks:
         waiting.setdefault(chunk.arm, []).append(chunk)
-    try:
-        with _client(workers, scheduler) as client:
-            shared = client.scatter(experiment, broadcast=True, hash=False)
+    with _loss_as_error(scheduler), _client(workers, scheduler) as client:
+        crew = _Crew(client, experiment)
+        for first, *_ in waiting.values():
+            crew.submit(first)
+        while crew.running:
+            chunk, rows = crew.next()
+            for more in waiting.pop(chunk.arm, [])[1:]:
+                crew.submit(more)
+            yield chunk, rows
 
-            def submit(chunk: Chunk) -> Any:
-                return client.submit(
-                    _walk, shared, chunk, _cache(), pure=False, key=f"chunk-{chunk.number:05d}"
+
+def require_address(scheduler: str) -> None:
+    """Refuse what is no address of a scheduler.
+
+    Raises:
+        ValueError: naming what was got and what is allowed.
+    """
+    match = ADDRESS.fullmatch(scheduler)
+    if not match or not 1 <= int(match[3]) <= 65535:
+        raise ValueError(
+            f"scheduler: got '{scheduler}', allowed: an address like tcp://HOST:PORT, port 1 to 65535"
+        )
+
+
+class _Crew:
+    """Chunks that are with the workers of a scheduler.
+
+    Nothing is on a worker only: the scheduler holds the experiment too, and whoever is left gets it again.
+    """
+
+    def __init__(self, client: Any, experiment: Experiment):
+        self.client, self.run = client, uuid.uuid4().hex  # of this run: others may use the same scheduler
+        self.finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.running: dict[Any, Chunk] = {}
+        self.code = code()
+        self.experiment = client.submit(_itself, experiment, pure=False, key=f"experiment-{self.run}")
+
+    def submit(self, chunk: Chunk) -> None:
+        """Give a chunk to whoever is free."""
+        key = f"chunk-{self.run}-{chunk.number:05d}"
+        future = self.client.submit(_walk, self.experiment, chunk, _cache(), self.code, pure=False, key=key)
+        self.running[future] = chunk
+        future.add_done_callback(self.finished.put)
+
+    def next(self) -> tuple[Chunk, pl.DataFrame]:
+        """Wait for a chunk that is finished, and for its rows."""
+        future = self._next_future()
+        rows, chunk = future.result(), self.running.pop(future)
+        future.release()
+        return chunk, rows
+
+    def _next_future(self) -> Any:
+        last_seen = time.monotonic()
+        while True:
+            with contextlib.suppress(queue.Empty):
+                return self.finished.get(timeout=POLL_S)
+            if self.client.scheduler_info()["workers"]:
+                last_seen = time.monotonic()
+            elif time.monotonic() - last_seen > PATIENCE_S:
+                raise WorkersError(
+                    f"workers: got none in {PATIENCE_S:g} s, allowed: at least one; start some with "
+                    f"'dask worker {self.client.scheduler.address} --nthreads 1'"
                 )
 
-            running = {submit(each[0]): each[0] for each in waiting.values()}
-            done = distributed.as_completed(list(running), loop=client.loop)
-            for future in done:
-                rows, chunk = future.result(), running.pop(future)
-                for more in waiting.pop(chunk.arm, [])[1:]:
-                    new = submit(more)
-                    running[new] = more
-                    done.add(new)
-                future.release()
-                yield chunk, rows
-    except (distributed.KilledWorker, FutureCancelledError) as error:
+
+@contextlib.contextmanager
+def _loss_as_error(scheduler: str | None) -> Generator[None, None, None]:
+    """What distributed raises where workers or the scheduler are lost is a WorkersError."""
+    distributed = _distributed()
+    from distributed.client import FutureCancelledError
+
+    try:
+        yield
+    except distributed.KilledWorker as error:
         raise WorkersError(f"workers: {' '.join(str(error).split())[:200]}") from error
-    except (OSError, TimeoutError) as error:
-        raise WorkersError(f"workers: the scheduler cannot be reached or was lost ({error})") from error
+    except (OSError, TimeoutError, FutureCancelledError) as error:
+        which = f"'{scheduler}'" if scheduler else "of this machine"
+        why = " ".join(str(error).split())[:200]
+        raise WorkersError(f"workers: the scheduler {which} cannot be reached or was lost ({why})") from error
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise WorkersError(
+            "workers: got no package 'distributed', allowed: 1 worker, or pip install 'jaxbiped[cluster]'"
+        ) from None
+    return distributed
 
 
 @contextlib.contextmanager
 def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
     """A connection to a scheduler; a local one is started and stopped if no address is given."""
-    import distributed
+    distributed = _distributed()
     from dask import config
 
     settings = {
@@ -95,15 +178,18 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
             **config.get("distributed.nanny.pre-spawn-environ"),
             **ONE_THREAD,
         },
-        "distributed.comm.timeouts.connect": "10s",
+        "distributed.admin.large-graph-warning-threshold": "1 TB",
+        "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
+        "distributed.worker.preload": [DEAF],
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
         "distributed.worker.memory.terminate": False,
     }
-    with config.set(settings):
+    with config.set(settings), _silence():
         if scheduler is not None:
-            with distributed.Client(scheduler, timeout="10s", set_as_default=False) as client:
+            _greet(scheduler)
+            with distributed.Client(scheduler, timeout=f"{CONNECT_S}s", set_as_default=False) as client:
                 yield client
             return
         with (
@@ -111,7 +197,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
                 n_workers=workers,
                 threads_per_worker=1,
                 processes=True,
-                dashboard_address=":0",
+                dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
                 host="127.0.0.1",
             ) as cluster,
@@ -120,13 +206,67 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
             yield client
 
 
+def _greet(scheduler: str) -> None:
+    """Exchange greetings with a scheduler: a client would wait for ever for one that listens but never answers.
+
+    Raises:
+        OSError: if it does not answer; TimeoutError is one.
+        ValueError: if an address of TLS is given, and no certificates in Dask's configuration.
+    """
+    from distributed.comm.core import connect
+    from distributed.security import Security
+
+    async def greet() -> None:
+        keys = Security().get_connection_args("client")
+        (await connect(scheduler, timeout=CONNECT_S, **keys)).abort()
+
+    async def in_time() -> None:
+        try:
+            await asyncio.wait_for(greet(), CONNECT_S + 1.0)
+        except TimeoutError:
+            raise TimeoutError(f"nothing that speaks Dask answered in {CONNECT_S} s") from None
+
+    with ThreadPoolExecutor(1) as elsewhere:  # where no event loop runs, as one does in a notebook
+        try:
+            elsewhere.submit(asyncio.run, in_time()).result()
+        except TypeError as error:
+            raise ValueError(
+                f"scheduler: got '{scheduler}' ({' '.join(str(error).split())[:120]}), allowed: tcp://HOST:PORT, or "
+                "certificates under distributed.comm.tls in Dask's configuration"
+            ) from None
+
+
+@contextlib.contextmanager
+def _silence() -> Generator[None, None, None]:
+    """Distributed logs every loss, which is told once, as an error, or made good without a word."""
+    known = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
+    before = {logging.getLogger(name): logging.getLogger(name).level for name in {*known, "asyncio"}}
+    for logger in before:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in before.items():
+            logger.setLevel(level)
+
+
 def _cache() -> str | None:
     """Where this process keeps what it compiles; workers are to keep it there too."""
     return jax.config.values["jax_compilation_cache_dir"]
 
 
-def _walk(experiment: Experiment, chunk: Chunk, cache: str | None) -> pl.DataFrame:
+def _itself(experiment: Experiment) -> Experiment:
+    """On a worker, which keeps it for all chunks."""
+    return experiment
+
+
+def _walk(experiment: Experiment, chunk: Chunk, cache: str | None, expected: dict[str, str]) -> pl.DataFrame:
     """On a worker."""
+    different = [name for name, version in code().items() if version != expected[name]]
+    if different:
+        raise WorkersError(
+            f"workers: got one with another {', '.join(different)}, allowed: the code and packages of this process"
+        )
     if cache is not None and (Path(cache).exists() or os.access(Path(cache).parent, os.W_OK)):
         jax.config.update("jax_compilation_cache_dir", cache)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

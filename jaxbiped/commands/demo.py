@@ -64,12 +64,12 @@ def run(command: Demo) -> dict[str, Any]:
         make_writable(out)
     surena, elkahlout = robot.load("surena3"), robot.load("elkahlout")
     walks = {
-        "surena3": _plan(surena, planner.PolynomialGait.preset(surena, N_STEPS)),
-        "elkahlout": _plan(elkahlout, planner.CosineGait.preset(elkahlout, N_STEPS)),
+        "surena3": plan_of(surena, planner.PolynomialGait.preset(surena, N_STEPS)),
+        "elkahlout": plan_of(elkahlout, planner.CosineGait.preset(elkahlout, N_STEPS)),
     }
-    summaries = {name: _summary(walk) for name, walk in walks.items()}
+    summaries = {name: summary_of(walk) for name, walk in walks.items()}
     for summary in summaries.values():
-        print(_in_words(summary), flush=True)
+        print(in_words(summary), flush=True)
     loads = payload.run(payload.Payload(out=out / "payload", workers=command.workers, overwrite=True))
     pads = obstacles.run(obstacles.Obstacles(out=out / "obstacles", workers=command.workers, overwrite=True))
     print("walking surena3 over three obstacles, with and without landing adaptation", flush=True)
@@ -164,7 +164,8 @@ def _draw_obstacles(figures: ModuleType, gait: Any, walks: dict[str, sim.Walk]) 
     }
 
 
-def _plan(params: robot.RobotParams, gait: planner.Gait) -> Plan:
+def plan_of(params: robot.RobotParams, gait: planner.Gait) -> Plan:
+    """Sample a plan and what it takes."""
     times = planner.sample_times(gait)
     targets = targets_at(gait, times)
     report = planner.feasibility(params, gait, times)
@@ -204,7 +205,9 @@ def _cycle(gait: Any, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]
     return time, targets_at(gait, jnp.asarray(time) + gait.params.T_ini)
 
 
-def _summary(walk: Plan) -> dict[str, Any]:
+def summary_of(walk: Plan) -> dict[str, Any]:
+    """How feasible a plan is, in numbers."""
+
     def worst(reduce: Callable, values: Any) -> float:
         return float(reduce(np.asarray(values)))
 
@@ -223,7 +226,8 @@ def _summary(walk: Plan) -> dict[str, Any]:
     }
 
 
-def _in_words(s: dict[str, Any]) -> str:
+def in_words(s: dict[str, Any]) -> str:
+    """The same to read."""
     return (
         f"{s['robot']}, {s['gait']}: {s['steps']} steps in {s['duration_s']:.1f} s\n"
         f"  smallest ZMP margin {1e3 * s['zmp_margin_min_m']:.1f} mm,"

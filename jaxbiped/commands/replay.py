@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from tyro.conf import Positional
 
 from jaxbiped import batch, planner, sim
 from jaxbiped.batch import part
@@ -23,9 +24,9 @@ rounds differently in batches of other sizes, and walking amplifies that."""
 class Replay:
     """Walk one row of a results table again, tell, draw, and say if it does not agree with the table."""
 
-    table: Path
+    table: Positional[Path]
     """Folder that a batch was run in, or the table.parquet in it."""
-    row: int
+    row: Positional[int]
     """Number of the row."""
     out: Path = Path("runs/replay")
     """Folder of the figures."""
@@ -41,10 +42,10 @@ def run(command: Replay) -> dict[str, Any]:
     try:
         experiment, table = batch.open_table(command.table)
     except batch.StoreError as error:
-        raise InputError(f"--{error}") from None
+        raise InputError(str(error)) from None
     found = table.filter(table["row"] == command.row)
     if found.height != 1:
-        raise InputError(f"--row: got {command.row}, allowed: 0 to {experiment.rows - 1}, finished ones")
+        raise InputError(f"row: got {command.row}, allowed: 0 to {experiment.rows - 1}, finished ones")
     with refusing(out, "a folder that can be made and written"):
         make_writable(out)
     row = found.row(0, named=True)

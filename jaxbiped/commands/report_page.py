@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tyro.conf import Positional
+
 from jaxbiped import batch
 from jaxbiped.batch import summary
 from jaxbiped.commands import batches
@@ -14,7 +16,7 @@ from jaxbiped.commands.common import InputError, figures_module, refusing
 class Report:
     """Make one HTML page, with tables and figures in it, of a folder that a batch was run in."""
 
-    table: Path
+    table: Positional[Path]
     """Folder that a batch was run in, or the table.parquet in it; may be unfinished."""
     out: Path | None = None
     """The page (.html). Default: report.html in the folder."""
@@ -30,7 +32,7 @@ def run(command: Report) -> dict[str, Any]:
     try:
         experiment, table = batch.open_table(command.table)
     except batch.StoreError as error:
-        raise InputError(f"--{error}") from None
+        raise InputError(str(error)) from None
     folder = command.table.parent if command.table.is_file() else command.table
     out = command.out or folder / "report.html"
     if out.suffix != ".html":

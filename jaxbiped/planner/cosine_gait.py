@@ -106,7 +106,7 @@ class CosineGait(eqx.Module):
     def task(self, t: Scalar) -> TaskSpace:
         """Soles and pelvis in the world at time t [s]; sole minus pelvis is elkahlout Eqs. 3.1-3.6."""
         p, phase = self.params, self.phase(t)
-        angle = jnp.pi * jnp.clip(phase.time_since_liftoff, 0.0, p.t_ss) / p.t_ss
+        angle = jnp.pi * _held(phase.time_since_liftoff, 0.0, p.t_ss) / p.t_ss
         middle = (2 * phase.step + 1) * p.b_s
         stance_foot = [middle + p.x_ref, jnp.zeros_like(t)]
         swing_foot = [
@@ -130,9 +130,17 @@ class CosineGait(eqx.Module):
         p = self.params
         stop = p.T_ini + self.n_steps * p.T_c
         walking = _towards_stance(self.first_swing) * p.w * jnp.sin(jnp.pi * (t - p.T_ini) / p.T_c)
-        starting = self.sway_in(jnp.clip(t, 0.0, p.T_ini))
-        stopping = self.sway_out(jnp.clip(t, stop, self.duration))
+        starting = self.sway_in(_held(t, 0.0, p.T_ini))
+        stopping = self.sway_out(_held(t, stop, self.duration))
         return jnp.where(t < p.T_ini, starting, jnp.where(t < stop, walking, stopping))
+
+
+def _held(t: Scalar, start: Scalar | float, end: Scalar) -> Scalar:
+    """Time from `start` to `end` [s], held before and after.
+
+    At `start` its rate is 1, at `end` 0: that of what comes next. The derivative of jnp.clip is 0.5 at both.
+    """
+    return jnp.where(t < start, start, jnp.where(t < end, t, end))
 
 
 def _towards_stance(first_swing: int) -> float:

@@ -9,12 +9,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from landing_transcription import ALL_REPAIRS, Numbers, Plan, Readings, Repairs, commands, quintic
+from landing_transcription import (
+    ALL_REPAIRS,
+    Numbers,
+    Plan,
+    Readings,
+    Repairs,
+    commands,
+    longest_T_mod,
+    quintic,
+)
 
 from jaxbiped import planner, robot
 from jaxbiped.adapt import Controller, Landing, Sensed
 from jaxbiped.adapt.blends import longest_time_to_rest
-from jaxbiped.adapt.landing import nominal_T_mod
+from jaxbiped.adapt.landing import LandingStage, _descent, _longest_set_down, nominal_T_mod
 
 DT = 0.002
 N_STEPS = 6
@@ -128,6 +137,22 @@ def test_T_star_never_undershoots_and_is_tight(x64):
     assert np.mean(beyond) > 0.95
 
 
+def test_T_star_of_a_foot_that_does_not_go_down(x64):
+    """Accelerated downward it has a limit too, the oracle's; it never undershoots there, and does a twentieth later."""
+    rng = np.random.default_rng(2)
+    rates = rng.uniform((0.0, -6.0, 0.003), (0.3, 3.0, 0.03), (2000, 3))
+    rates[::10, 0] = 0.0
+    ours = np.asarray(jax.vmap(_longest_set_down)(*jnp.asarray(rates).T))
+    np.testing.assert_allclose(ours, [longest_T_mod(*one) for one in rates], rtol=1e-9)
+    s = np.linspace(0.0, 1.0, 2000)
+    for (v, a, dz), T in zip(rates[::20], ours[::20], strict=True):
+        assert np.isfinite(T) == (a < 0.0)
+        for stretch, undershoots in ((1.0, False), (1.05, True)) if a < 0.0 else ():
+            path = quintic((0.0, v, a), (-dz, 0.0, 0.0), stretch * T)
+            depth = np.polynomial.polynomial.polyval(s * stretch * T, path).min() + dz
+            assert (depth < -1e-9 * dz) == undershoots
+
+
 def test_flat_ground_stays_within_a_millimetre_of_the_plan(x64, gait):
     ours, plan, *_ = walk(Controller(gait, landing=Landing.repaired()), heights_of(), ticks_of(gait))
     assert np.abs(ours[:, 0] - plan[:, 0]).max() < 1e-3
@@ -188,6 +213,40 @@ def test_a_touch_that_never_comes_stops_and_is_counted(x64, gait):
     np.testing.assert_allclose(np.asarray(ours)[end, 1, foot, 2], 0.0, atol=1e-2)
     jump = np.abs(np.diff(np.asarray(ours)[:, 0], axis=0)).max()
     assert jump < 1.2 * np.abs(np.diff(np.asarray(plan)[:, 0], axis=0)).max()
+
+
+@pytest.mark.parametrize("max_descent", [0.002, 0.0133, 0.014, 0.08])
+def test_descent_ends_where_it_may(x64, max_descent):
+    """Also where the descent's speed could not be stopped that soon (v^2 / a = 13.3 mm); its acceleration is kept."""
+    p = Landing.repaired(max_descent=jnp.asarray(max_descent))
+    t = np.linspace(-0.1, 1.5, 3201)
+    depth = np.asarray(jax.vmap(lambda t: _descent(p, t, jnp.asarray(1.0)))(jnp.asarray(t)))
+    assert depth[t <= 0.0].max() == 0.0
+    assert depth.max() == pytest.approx(max_descent, abs=1e-12)
+    np.testing.assert_allclose(depth[t > 1.0], max_descent, rtol=0.0, atol=1e-12)
+    speed = np.diff(depth) / np.diff(t)
+    assert speed.min() > -1e-9
+    assert speed.max() < float(p.descent_speed) + 1e-9
+    assert np.abs(np.diff(speed) / np.diff(t)[1:]).max() < float(p.descent_acceleration) + 1e-3
+
+
+@jax.jit
+def _touch(stage, nominal, tau):
+    return stage._touch(stage.init(), nominal, tau).touch
+
+
+@pytest.mark.parametrize("commanded", [False, True])
+def test_a_touch_inside_a_tick_starts_from_the_rates_there(x64, gait, commanded):
+    """Without offsets the commanded rates are the planned ones, so the switch makes no difference."""
+    stage = LandingStage.plan(Landing(commanded_velocity=commanded), gait)
+    touchdown, ago = gait.timing.touchdown(2), 0.7 * DT
+    nominal = planner.at(gait, touchdown - 0.05)
+    tau = nominal.phase.time_since_liftoff - ago
+    touch = _touch(stage, nominal, tau)
+    then = np.asarray(sole_and_pelvis(planner.at(gait, touchdown - 0.05 - ago)))
+    foot = int((gait.first_swing + 2) % 2)
+    np.testing.assert_allclose(touch[1], then[1, foot, [0, 2]], rtol=0.0, atol=2e-4)
+    assert np.abs(ago * np.asarray(touch[2])).max() > 1e-3, "no difference to be seen"
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -141,6 +141,39 @@ def test_position_and_velocity_are_continuous(n_steps, first_swing, batch):
     assert np.allclose(jump[:, 4:, [0, 3]].max(axis=-1), swing_x[:, None], rtol=1e-6, atol=1e-9)
 
 
+@jax.jit
+def _motion(gait, times):
+    """Position, velocity and acceleration of soles and pelvis (3, times, 9)."""
+    targets = jax.vmap(lambda t: at(gait, t))(times)
+    orders = (targets.position, targets.velocity, targets.acceleration)
+    return [jnp.concatenate([order.sole.reshape(-1, 6), order.pelvis], axis=1) for order in orders]
+
+
+@pytest.mark.parametrize(("double", "h", "atol"), [(False, 1e-2, 2e-4), (True, 1e-4, 1e-7)])
+@pytest.mark.parametrize(("n_steps", "first_swing"), [(1, RIGHT), (2, LEFT)])
+def test_rates_at_a_phase_change_are_those_on_either_side(n_steps, first_swing, double, h, atol):
+    """By forward differentiation at the very instant, where a clipped time would halve them."""
+    with jax.enable_x64(double):
+        gait = CosineGait.preset(robot.load("elkahlout"), n_steps, first_swing)
+        p, timing = gait.params, gait.timing
+        instants = [p.T_ini, p.T_ini + n_steps * p.T_c, timing.liftoff(0), timing.touchdown(n_steps - 1)]
+        instant = np.asarray(jnp.stack(instants))[:, None]
+        # one of three neighbours is the instant as the compiled walk has it
+        there = np.concatenate([np.nextafter(instant, 0.0), instant, np.nextafter(instant, 99.0)], axis=1)
+        beside = instant + h * np.arange(-2, 3, dtype=instant.dtype)
+        times = np.concatenate([there, beside], axis=1)
+        position, velocity, acceleration = (
+            np.asarray(order).reshape(*times.shape, 9) for order in _motion(gait, jnp.asarray(times.ravel()))
+        )
+    before, after = position[:, [5, 4, 3]], position[:, [5, 6, 7]]
+    for side, path in ((-h, before), (h, after)):
+        slope = (-1.5 * path[:, 0] + 2.0 * path[:, 1] - 0.5 * path[:, 2]) / side
+        np.testing.assert_allclose(velocity[:, :3], np.stack([slope] * 3, axis=1), rtol=0.0, atol=atol)
+    one_side = np.stack([acceleration[:, 4], acceleration[:, 6]])
+    nearest = np.abs(acceleration[:, :3, None] - np.moveaxis(one_side, 0, 1)[:, None]).min(axis=2)
+    assert nearest.max() < 3.0 * h
+
+
 @pytest.mark.parametrize(("n_steps", "first_swing"), WALKS)
 def test_feet_stand_still_or_swing_over_the_ground(n_steps, first_swing, batch):
     targets = _walk(batch, (np.arange(SAMPLES) + 0.5) / SAMPLES, n_steps, first_swing)

@@ -15,10 +15,10 @@ from jaxbiped.planner.feasibility import Feasibility, instant
 PRESETS = {
     ("surena3", PolynomialGait): 0.074,
     ("surena3", CosineGait): 0.022,
-    ("elkahlout", PolynomialGait): 0.055,
-    ("elkahlout", CosineGait): 0.0015,
+    ("elkahlout", PolynomialGait): 0.027,
+    ("elkahlout", CosineGait): -0.0145,
 }
-"""Least ZMP margin of every preset [m]."""
+"""Least ZMP margin of every preset [m]; elkahlout's own gait tips over the toes, as Table 4.1 wants it."""
 KNEES = {("surena3", PolynomialGait): 20.0, ("elkahlout", PolynomialGait): 39.0}
 """Least bend of a knee [deg], where another one than KNEE is meant."""
 KNEE = 40.0

@@ -55,7 +55,7 @@ COSINE = [
     ("b_s", -0.08, "got -0.08 m, allowed: >= 0 m"),
     ("h_s", 0.0, "got 0 m, allowed: > 0 m (the swing foot must not go below the ground)"),
     ("h_b", -0.5, "got -0.5 m, allowed: > 0 m"),
-    ("w_of", 0.05, "got 0.05 m, allowed: > 0.06 m (the soles must not overlap)"),
+    ("w_of", 0.05, "got 0.05 m, allowed: > 0.06586 m (the soles must not overlap)"),
     ("w", NAN, "got nan m, allowed: a finite number"),
 ]
 

@@ -19,7 +19,12 @@ STEPS = 6
 DELTA_Z = 0.01
 
 
-@partial(eqx.filter_jit)
+NOT_OPTIMISED = {"xla_backend_optimization_level": 0}
+"""How to compile what runs once: faster to compile, slower to run."""
+LOAD_TIMES = np.arange(3.4, 5.2, 0.2)
+GROUNDS = ((0.0, 0.0), (0.02, 0.0), (-0.02, 0.0))
+
+
 def play(controller: Controller, ground: Any, load_time: Any, ticks: int) -> Any:
     """Kinematics only: feet close their switches within DELTA_Z of the ground under them, left and right lane.
 
@@ -58,34 +63,56 @@ def play(controller: Controller, ground: Any, load_time: Any, ticks: int) -> Any
     return rows, state
 
 
+@eqx.filter_jit
+def play_all(controller: Controller, ground: Any, load_time: Any, ticks: int) -> Any:
+    """Many walks at once."""
+    return jax.vmap(lambda *case: play(controller, case[0], case[1], ticks))(ground, load_time)
+
+
 @pytest.fixture(scope="module")
 def both() -> Controller:
     biped = robot.load("surena3")
     gait = planner.PolynomialGait.preset(biped, STEPS)
-    return Controller(gait, landing=Landing.repaired(), payload=PayloadReflex.repaired(biped, gait))
+
+    @partial(jax.jit, compiler_options=NOT_OPTIMISED)
+    def make(biped: Any, gait: Any) -> Controller:
+        return Controller(gait, landing=Landing.repaired(), payload=PayloadReflex.repaired(biped, gait))
+
+    return make(biped, gait)
 
 
-@pytest.mark.parametrize("load_time", np.arange(3.4, 5.2, 0.2).tolist())
-@pytest.mark.parametrize("ground", [(0.0, 0.0), (0.02, 0.0), (-0.02, 0.0)])
-def test_commands_stay_continuous_through_obstacle_and_load(both, load_time, ground):
-    ticks = int((float(both.gait.duration) + 14.0) / DT)
-    (sole, pelvis, mode), state = play(both, jnp.asarray(ground), jnp.asarray(load_time), ticks)
-    assert int(state.payload.reflexes) == 1
-    assert int(mode[-1]) == 0
+def ticks_of(controller: Controller) -> int:
+    return int((float(controller.gait.duration) + 14.0) / DT)
+
+
+@pytest.fixture(scope="module")
+def walks(both) -> Any:
+    """Every load on every ground, (grounds, load times): soles, pelvis, modes; and the number of reflexes."""
+    grid = np.array([(*ground, time) for ground in GROUNDS for time in LOAD_TIMES], np.float32)
+    rows, state = play_all(both, jnp.asarray(grid[:, :2]), jnp.asarray(grid[:, 2]), ticks_of(both))
+    shape = (len(GROUNDS), len(LOAD_TIMES))
+    return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(*shape, *leaf.shape[1:]), (*rows, state))
+
+
+@pytest.mark.parametrize("load", range(len(LOAD_TIMES)), ids=[f"{time:.1f}s" for time in LOAD_TIMES])
+@pytest.mark.parametrize("ground", range(len(GROUNDS)))
+def test_commands_stay_continuous_through_obstacle_and_load(walks, ground, load):
+    sole, pelvis, mode, state = jax.tree.map(lambda leaf: leaf[ground, load], walks)
+    assert state.payload.reflexes == 1
+    assert mode[-1] == 0
     for path in (sole.reshape(-1, 6), pelvis):
-        speed = np.abs(np.diff(np.asarray(path), axis=0)).max() / DT
+        speed = np.abs(np.diff(path, axis=0)).max() / DT
         assert speed < 1.6, "a jump of a centimetre would be 2.5 m/s"
     assert np.all(np.isfinite(sole)) and np.all(np.isfinite(pelvis))
 
 
-def test_a_load_on_flat_ground_leaves_landing_as_it_is(both):
+def test_a_load_on_flat_ground_leaves_landing_as_it_is(both, walks):
     """Landing on flat ground adds a millimetre at most to what the payload stage asks for, recovery included."""
-    alone = Controller.__new__(Controller)
     alone = eqx.tree_at(lambda c: c.landing, both, None)
-    ticks = int((float(both.gait.duration) + 14.0) / DT)
-    load = jnp.asarray(4.2)
-    (sole, pelvis, *_), _ = play(both, jnp.zeros(2), load, ticks)
-    (plain_sole, plain_pelvis, *_), _ = play(alone, jnp.zeros(2), load, ticks)
+    load = int(np.abs(LOAD_TIMES - 4.2).argmin())
+    sole, pelvis, *_ = jax.tree.map(lambda leaf: leaf[0, load], walks)
+    ours = (jnp.zeros((1, 2)), jnp.asarray(LOAD_TIMES[load : load + 1], jnp.float32), ticks_of(both))
+    (plain_sole, plain_pelvis, _), _ = jax.tree.map(lambda leaf: leaf[0], play_all(alone, *ours))
     np.testing.assert_allclose(sole[..., 1:], plain_sole[..., 1:], atol=1.5e-3)
     np.testing.assert_allclose(pelvis[..., 1:], plain_pelvis[..., 1:], atol=1.5e-3)
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from closed_loop import firm
 
 from jaxbiped import robot
 from jaxbiped.adapt import Controller, Landing, PayloadReflex
@@ -54,7 +55,7 @@ def landing(height: float) -> Case:
 
 def reflex() -> Case:
     """elkahlout, 10 kg in the midst of its first step, until 2 s after the reflex."""
-    biped = robot.load("elkahlout")
+    biped = firm("elkahlout")
     gait = CosineGait.preset(biped, 4)
     scenario = Scenario.flat(1).with_payload(10.0, 2.4)
     base = PayloadReflex.modified(biped, gait)
