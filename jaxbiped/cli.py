@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import tyro
 
+from jaxbiped.batch import workers
 from jaxbiped.commands import (
     InputError,
     WorkersLost,
@@ -40,6 +41,7 @@ Command = (
 
 def main(args: list[str] | None = None) -> int:
     """Run the console command; returns the exit code: 0 done, 1 something is missing, 2 bad input."""
+    workers.use_one_thread()
     _keep_compiled_kernels()
     try:
         command = _parse(args)

@@ -94,6 +94,10 @@ def _record(data: dict[str, Any]) -> Any:
         made = getattr(made, part)
     if not (isinstance(made, type) and issubclass(made, eqx.Module)):
         raise ValueError(f"record: got '{data['record']}', allowed: records of jaxbiped")
+    names = {field.name for field in dataclasses.fields(made)}
+    if names != set(data) - {"record"}:
+        other = ", ".join(sorted(names ^ (set(data) - {"record"})))
+        raise ValueError(f"{name} was written by another version: not in both are {other}")
     record = object.__new__(made)
     for field in dataclasses.fields(made):
         object.__setattr__(record, field.name, from_json(data[field.name]))

@@ -20,8 +20,8 @@ TICKS_PER_SECOND = 6e4
 """Physics ticks of a walk in a second on one core, roughly; for estimates."""
 COMPILE_SECONDS = 60.0
 """To compile the walks of one arm, roughly; a quarter from the cache."""
-BASE_MIB, LANE_KIB = 1300.0, 40.0
-"""Memory of a worker without its walks, and of one walk, roughly."""
+BASE_MIB, LANE_KIB = 2000.0, 40.0
+"""Memory of a worker while it compiles, without its walks, and of one walk, roughly."""
 BAR = 24
 """Characters of the bar of progress."""
 

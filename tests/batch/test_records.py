@@ -73,6 +73,15 @@ def test_strangers_are_refused():
             records.from_json({"record": name})
 
 
+def test_records_of_another_version_are_refused():
+    data = records.to_json(adapt.Landing.repaired())
+    for other in ({**data, "speed": 1.0}, {k: v for k, v in data.items() if k != "descent_speed"}):
+        with pytest.raises(
+            ValueError, match=r"Landing was written by another version: not in both are (descent_)?speed"
+        ):
+            records.from_json(other)
+
+
 def test_differences_name_the_place():
     params = robot.load("surena3")
     gait = planner.PolynomialGait.preset(params, 3)
