@@ -3,13 +3,10 @@
 import contextlib
 import io
 import json
-import os
 import re
 import sys
-from pathlib import Path
 from typing import Any
 
-import jax
 import tyro
 
 from jaxbiped.batch import workers
@@ -42,7 +39,7 @@ Command = (
 def main(args: list[str] | None = None) -> int:
     """Run the console command; returns the exit code: 0 done, 1 something is missing, 2 bad input."""
     workers.use_one_thread()
-    _keep_compiled_kernels()
+    workers.keep_compiled_kernels()
     try:
         command = _parse(args)
         result = _run(command)
@@ -82,16 +79,6 @@ def _run(command: Command) -> dict[str, Any]:
 def _complain(error: Exception, code: int) -> int:
     print("jaxbiped:", " ".join(str(error).split()), file=sys.stderr)
     return code
-
-
-def _keep_compiled_kernels() -> None:
-    """Let JAX keep compiled kernels between runs; JAX_COMPILATION_CACHE_DIR, if set, says where."""
-    if jax.config.values["jax_compilation_cache_dir"] is not None:
-        return
-    default = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or default) / "jaxbiped" / "jax"
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 def _parse(args: list[str] | None) -> Command:

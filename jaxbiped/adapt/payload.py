@@ -174,12 +174,12 @@ class PayloadReflex(eqx.Module):
     @classmethod
     def original(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
         """Eqs. 3.7-3.40: settling 2 s."""
-        return cls._literal(robot, gait, x_reflex=X_REFLEX_ORIGINAL, settling_time=2.0, **parameters)
+        return cls._literal(robot, gait, {"x_reflex": X_REFLEX_ORIGINAL, "settling_time": 2.0, **parameters})
 
     @classmethod
     def modified(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
         """With Eqs. 4.5, 4.6 and settling 4 s."""
-        return cls._literal(robot, gait, x_reflex=X_REFLEX_MODIFIED, settling_time=4.0, **parameters)
+        return cls._literal(robot, gait, {"x_reflex": X_REFLEX_MODIFIED, "settling_time": 4.0, **parameters})
 
     @classmethod
     def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
@@ -190,7 +190,7 @@ class PayloadReflex(eqx.Module):
         return cls(**{**_of_plan(robot, gait, parameters), **ours, **parameters})
 
     @classmethod
-    def _literal(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+    def _literal(cls, robot: RobotParams, gait: Gait, parameters: dict[str, Any]) -> "PayloadReflex":
         names = ("smooth_reflex", "steady_recovery", "smooth_resume", "starts_again")
         switches = dict.fromkeys(names, False)
         return cls(**{**_of_plan(robot, gait, parameters), **switches, **parameters})

@@ -85,6 +85,7 @@ def run(
         StoreError: if the folder cannot be used.
         WorkersError: if the workers are lost; finished chunks are kept.
     """
+    crew.keep_compiled_kernels()
     workers = _workers(workers)
     store = Store(Path(out), experiment, overwrite)
     missing = store.missing()

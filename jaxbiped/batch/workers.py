@@ -6,6 +6,7 @@ import logging
 import os
 import queue
 import re
+import sys
 import time
 import uuid
 from collections.abc import Generator
@@ -51,6 +52,16 @@ def use_one_thread() -> None:
     """Keep this process to one core, unless XLA is already running or its flags are set."""
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
+
+
+def keep_compiled_kernels() -> None:
+    """Let JAX keep compiled kernels between runs; JAX_COMPILATION_CACHE_DIR, if set, says where."""
+    if jax.config.values["jax_compilation_cache_dir"] is not None:
+        return
+    default = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or default) / "jaxbiped" / "jax"
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 def in_this_process(experiment: Experiment, chunks: list[Chunk]) -> Done:

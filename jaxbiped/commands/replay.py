@@ -3,11 +3,11 @@
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from jaxbiped import batch, planner, sim
 from jaxbiped.batch import part
@@ -24,9 +24,9 @@ rounds differently in batches of other sizes, and walking amplifies that."""
 class Replay:
     """Walk one row of a results table again, tell, draw, and say if it does not agree with the table."""
 
-    table: Positional[Path]
+    table: Annotated[Positional[Path], arg(metavar="TABLE")]
     """Folder that a batch was run in, or the table.parquet in it."""
-    row: Positional[int]
+    row: Annotated[Positional[int], arg(metavar="ROW")]
     """Number of the row."""
     out: Path = Path("runs/replay")
     """Folder of the figures."""

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from jaxbiped import batch
 from jaxbiped.batch import summary
@@ -16,7 +16,7 @@ from jaxbiped.commands.common import InputError, figures_module, refusing
 class Report:
     """Make one HTML page, with tables and figures in it, of a folder that a batch was run in."""
 
-    table: Positional[Path]
+    table: Annotated[Positional[Path], arg(metavar="TABLE")]
     """Folder that a batch was run in, or the table.parquet in it; may be unfinished."""
     out: Path | None = None
     """The page (.html). Default: report.html in the folder."""
