@@ -2,10 +2,13 @@
 
 import asyncio
 import contextlib
+import ctypes
+import gc
 import logging
 import os
 import queue
 import re
+import resource
 import sys
 import time
 import uuid
@@ -22,13 +25,17 @@ from jaxbiped.batch.part import walk_chunk
 from jaxbiped.batch.store import code
 
 ONE_THREAD = {
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    " --xla_cpu_parallel_codegen_split_count=1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "POLARS_MAX_THREADS": "1",
 }
-"""Environment of a process that is to use one core; XLA reads its flags when it is first used."""
+"""Environment of a process that is to use one core, and less memory to compile; XLA reads its flags when it is first
+used."""
+ROOM_MIB = 1200.0
+"""Of memory, over which a worker forgets what it has compiled for another kind of arm before it compiles again."""
 DEATHS = 10
 """How many workers may die over one chunk before it is given up; of a scheduler elsewhere its own setting counts."""
 DEAF = "import signal\n\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
@@ -281,4 +288,27 @@ def _walk(experiment: Experiment, chunk: Chunk, cache: str | None, expected: dic
     if cache is not None and (Path(cache).exists() or os.access(Path(cache).parent, os.W_OK)):
         jax.config.update("jax_compilation_cache_dir", cache)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    _make_room(experiment, chunk)
     return walk_chunk(experiment, chunk)
+
+
+_kinds: set[Any] = set()
+"""Kinds of arms that this worker holds compiled functions for."""
+
+
+def _make_room(experiment: Experiment, chunk: Chunk) -> None:
+    """Forget what is compiled for other kinds of arms, if it takes much memory; it is in JAX's compilation cache."""
+    kind = (jax.tree.structure(experiment.arms[chunk.arm]), experiment.durations[chunk.arm], experiment.lanes)
+    if kind not in _kinds and peak_mib() > ROOM_MIB:
+        _kinds.clear()
+        jax.clear_caches()
+        gc.collect()
+        with contextlib.suppress(AttributeError):  # glibc only
+            ctypes.CDLL(None).malloc_trim(0)
+    _kinds.add(kind)
+
+
+def peak_mib() -> float:
+    """Most memory this process has used [MiB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)

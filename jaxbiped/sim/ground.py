@@ -76,6 +76,13 @@ def contact(robot: RobotParams, ground: Ground, terrain: Terrain, body: BodyMoti
     )
 
 
+def force_after(body: BodyMotion, contact: Contact, d_qvel: Float[Array, "18"]) -> Float[Array, "2 4 3"]:
+    """Force at every corner when friction acts on the velocities after a change of qvel [N]."""
+    twist = mjx_adapter.foot_twist(body, d_qvel)[:, None]
+    change = twist[..., 3:] + jnp.cross(twist[..., :3], contact.p_world_corner - body.centre)
+    return contact.force.at[..., :2].add(-contact.drag[..., None] * change[..., :2])
+
+
 def drag_matrix(body: BodyMotion, contact: Contact) -> JointMatrix:
     """Joint-space damping of the friction forces [qfrc per qvel].
 

@@ -6,10 +6,12 @@ centre of mass with world axes.
 """
 
 import contextlib
+import functools
 import io
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -21,7 +23,9 @@ with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its optional 
     from mujoco.mjx._src.forward import _integrate_pos
 
 from jaxbiped.robot import RobotParams
+from jaxbiped.sim import spatial
 from jaxbiped.sim.model import FREE_DOFS, build_spec
+from jaxbiped.sim.spatial import Links
 
 NQ, NV = 19, 18
 TRUNK = 1
@@ -48,6 +52,9 @@ class BodyMotion(eqx.Module):
     """Reference point of all spatial vectors: the robot's centre of mass [m]."""
     dof_axes: Float[Array, "18 6"]
     """Spatial motion per unit of each qvel."""
+    link_inertia: Float[Array, "13 10"]
+    """Of the trunk with its load and of the links of both legs, about `centre`: xx, yy, zz, xy, xz, yz [kg m2], first
+    moment [kg m], mass [kg]."""
     mass_matrix: Float[Array, "18 18"]
     """Joint-space inertia, armature included."""
     bias: Float[Array, "18"]
@@ -91,7 +98,14 @@ def masses(model: Any) -> tuple[Float[Array, "15"], Float[Array, "15 3"], Float[
 
 
 def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> BodyMotion:
-    """Kinematics, composite inertia and Newton-Euler bias of MJX at one state."""
+    """Kinematics, composite inertia and Newton-Euler bias of MJX at one state.
+
+    Differentiated by how the links move with the joints (`spatial`), not through MJX; by the masses through MJX.
+    """
+    return _motion(model, qpos, qvel)
+
+
+def _through_mjx(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> BodyMotion:
     data = mjx.make_data(model).replace(qpos=qpos, qvel=qvel)
     data = smooth.kinematics(model, data)
     data = smooth.com_pos(model, data)
@@ -111,8 +125,84 @@ def _read(data: Any) -> BodyMotion:
         twist_foot=data.cvel[_FEET],
         centre=data.subtree_com[TRUNK],
         dof_axes=data.cdof,
+        link_inertia=data._impl.cinert[TRUNK:PAYLOAD].at[0].add(data._impl.cinert[PAYLOAD]),
         mass_matrix=data._impl.M,
         bias=data.qfrc_bias,
+    )
+
+
+_motion = jax.custom_jvp(_through_mjx)
+
+
+@functools.partial(_motion.defjvp, symbolic_zeros=True)
+def _motion_jvp(primals: Any, tangents: Any) -> tuple[BodyMotion, BodyMotion]:
+    model, qpos, qvel = primals
+    body = _motion(model, qpos, qvel)
+    d_qpos, d_qvel = (_instantiate(t, p) for t, p in zip(tangents[1:], primals[1:], strict=True))
+    d_body = _moved(model, body, qvel, _as_velocity(qpos, d_qpos), d_qvel)
+    if all(
+        isinstance(t, _ZERO) for t in jax.tree.leaves(tangents[0], is_leaf=lambda t: isinstance(t, _ZERO))
+    ):
+        return body, d_body
+    d_model = jax.tree.map(_instantiate, tangents[0], model, is_leaf=lambda t: isinstance(t, _ZERO))
+    _, by_model = jax.jvp(lambda m: _through_mjx(m, qpos, qvel), (model,), (d_model,))
+    return body, jax.tree.map(jnp.add, d_body, by_model)
+
+
+_ZERO = jax.custom_derivatives.SymbolicZero
+
+
+def _instantiate(tangent: Any, primal: Any) -> Any:
+    """The tangent itself, or zeros where JAX knows that it is zero."""
+    if not isinstance(tangent, _ZERO):
+        return tangent
+    if jnp.issubdtype(jnp.result_type(primal), jnp.floating):
+        return jnp.zeros_like(primal)
+    return np.zeros(jnp.shape(primal), jax.dtypes.float0)
+
+
+def _as_velocity(qpos: Float[Array, "19"], d_qpos: Float[Array, "19"]) -> Float[Array, "18"]:
+    """A small change of qpos in the coordinates of qvel."""
+    w, v, d_w, d_v = qpos[3], qpos[4:7], d_qpos[3], d_qpos[4:7]
+    turned = 2.0 * (w * d_v - d_w * v - spatial.cross(v, d_v)) / (w * w + jnp.sum(v * v))
+    return jnp.concatenate([d_qpos[:3], turned, d_qpos[7:]])
+
+
+def _moved(
+    model: Any,
+    body: BodyMotion,
+    qvel: Float[Array, "18"],
+    shift: Float[Array, "18"],
+    d_qvel: Float[Array, "18"],
+) -> BodyMotion:
+    """How everything changes with a small shift of the coordinates (as a qvel) and of qvel."""
+    links = Links(body.dof_axes, body.link_inertia)
+    moved = spatial.displacement(links, shift)
+    d_centre = spatial.centre_shift(links, moved)
+    d_links = spatial.carried_along(links, moved, d_centre)
+    feet = moved.leg[:, -1]
+
+    def twist(axes: Float[Array, "18 6"], speed: Float[Array, "18"]) -> Float[Array, "2 6"]:
+        return spatial.velocities(axes, speed).leg[:, -1]
+
+    def bias(moving: Links, speed: Float[Array, "18"]) -> Float[Array, "18"]:
+        return spatial.inverse_dynamics(moving, speed, jnp.zeros_like(speed), model.opt.gravity)
+
+    def column(moving: Links, unit: Float[Array, "18"]) -> Float[Array, "18"]:
+        return spatial.inverse_dynamics(moving, jnp.zeros_like(unit), unit, jnp.zeros_like(model.opt.gravity))
+
+    units = jnp.eye(NV, dtype=qvel.dtype)
+    return BodyMotion(
+        p_world_foot=spatial.point_shift(feet, body.p_world_foot - body.centre),
+        rot_world_foot=spatial.turned(feet[:, :3], body.rot_world_foot),
+        p_world_trunk=spatial.point_shift(moved.trunk, body.p_world_trunk - body.centre),
+        rot_world_trunk=spatial.turned(moved.trunk[:3], body.rot_world_trunk),
+        twist_foot=jax.jvp(twist, (links.axes, qvel), (d_links.axes, d_qvel))[1],
+        centre=d_centre,
+        dof_axes=d_links.axes,
+        link_inertia=d_links.inertia,
+        mass_matrix=jax.vmap(lambda unit: jax.jvp(lambda m: column(m, unit), (links,), (d_links,))[1])(units),
+        bias=jax.jvp(bias, (links, qvel), (d_links, d_qvel))[1],
     )
 
 
@@ -120,6 +210,18 @@ def foot_axes(body: BodyMotion) -> Float[Array, "2 12 6"]:
     """Spatial motion of each foot per unit of the trunk's six qvel and of its own leg's six; no other moves it."""
     trunk = jnp.broadcast_to(body.dof_axes[:FREE_DOFS], (2, FREE_DOFS, 6))
     return jnp.concatenate([trunk, body.dof_axes[FREE_DOFS:].reshape(2, 6, 6)], axis=1)
+
+
+def foot_twist(body: BodyMotion, qvel: Float[Array, "18"]) -> Float[Array, "2 6"]:
+    """Twist of each foot about `body.centre` for any qvel."""
+    return spatial.velocities(body.dof_axes, qvel).leg[:, -1]
+
+
+def inverse_dynamics(
+    body: BodyMotion, qvel: Float[Array, "18"], qacc: Float[Array, "18"], gravity: Float[Array, "3"]
+) -> Float[Array, "18"]:
+    """Joint-space force that a motion needs, by Newton and Euler: `mass_matrix @ qacc + bias` without the rotors."""
+    return spatial.inverse_dynamics(Links(body.dof_axes, body.link_inertia), qvel, qacc, gravity)
 
 
 def generalized_force(
@@ -178,6 +280,34 @@ def solve(matrix: JointMatrix, force: Float[Array, "18"]) -> Float[Array, "18"]:
     trunk = _eliminate(reduced[:, :FREE_DOFS], reduced[:, FREE_DOFS:])[:, 0]
     legs = solved[..., FREE_DOFS] - jnp.sum(solved[..., :FREE_DOFS] * trunk, axis=-1)
     return jnp.concatenate([trunk, legs.reshape(-1)])
+
+
+class Inverse(eqx.Module):
+    """A matrix with its pivots inverted, to be applied to many right-hand sides."""
+
+    trunk: Float[Array, "6 6"]
+    """Inverse of what is left of the trunk's block when both legs are eliminated."""
+    ratio: Float[Array, "2 6 6"]
+    """`inverse(leg) @ coupling`."""
+    leg: Float[Array, "2 6 6"]
+    """Inverse of the legs' blocks."""
+
+    def times(self, force: Float[Array, "18"]) -> Float[Array, "18"]:
+        """Solve for one right-hand side."""
+        on_leg = force[FREE_DOFS:].reshape(2, 6)
+        left = force[:FREE_DOFS] - jnp.sum(self.ratio * on_leg[..., None], axis=(0, 1))
+        trunk = jnp.sum(self.trunk * left, axis=1)
+        legs = jnp.sum(self.leg * on_leg[:, None], axis=2) - jnp.sum(self.ratio * trunk, axis=2)
+        return jnp.concatenate([trunk, legs.reshape(-1)])
+
+
+def inverse(matrix: JointMatrix) -> Inverse:
+    """Eliminate once, for many right-hand sides."""
+    unit = jnp.broadcast_to(jnp.eye(6, dtype=matrix.leg.dtype), (2, 6, 6))
+    solved = _eliminate(matrix.leg, jnp.concatenate([matrix.coupling, unit], axis=2))
+    ratio, leg = solved[..., :FREE_DOFS], solved[..., FREE_DOFS:]
+    left = matrix.trunk - jnp.einsum("lji,ljk->ik", matrix.coupling, ratio)
+    return Inverse(_eliminate(left, unit[0]), ratio, leg)
 
 
 def _eliminate(matrix: Float[Array, "*n 6 6"], right: Float[Array, "*n 6 k"]) -> Float[Array, "*n 6 k"]:

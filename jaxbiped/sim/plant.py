@@ -3,12 +3,14 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbiped.robot import RobotParams, Servo
 from jaxbiped.sim import ground, mjx_adapter, servo
 from jaxbiped.sim.mjx_adapter import PAYLOAD, TRUNK, BodyMotion
+from jaxbiped.sim.model import FREE_DOFS
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.servo import Reference
 
@@ -109,6 +111,69 @@ def push_force(plant: Plant, body: BodyMotion, time: Float[Array, ""], dt: float
     force = jnp.clip(overlap / dt, 0.0, 1.0) * push.force
     point = body.p_world_trunk + body.rot_world_trunk @ plant.before[1][TRUNK]
     return mjx_adapter.trunk_force(body, jnp.cross(point - body.centre, force), force)
+
+
+class Forces(eqx.Module):
+    """What the acceleration of a tick follows from."""
+
+    body: BodyMotion
+    """At the start of the tick."""
+    contact: ground.Contact
+    """At the start of the tick."""
+    torque: Float[Array, "2 6"]
+    """Of the servos, at the joint speeds of the start of the tick [N m]."""
+    damping: Float[Array, "2 6"]
+    """That the servos still owe, see `servo.torque` [N m s/rad]."""
+    push: Float[Array, "18"]
+    """Joint-space force of the push."""
+    qvel: Float[Array, "18"]
+    """At the start of the tick."""
+    gravity: Float[Array, "3"]
+    """[m/s2]"""
+    armature: Float[Array, "18"]
+    """Inertia of the rotors per joint [kg m2]."""
+    dt: float = eqx.field(static=True)
+    """Tick [s]."""
+
+
+@jax.custom_jvp
+def acceleration(forces: Forces) -> Float[Array, "18"]:
+    """Joint-space acceleration; friction and the servos' damping act at the velocity of the end of the tick.
+
+    Differentiated through inverse dynamics: what a change leaves of `balance` must be made good by the acceleration.
+    Neither the inertia matrix nor the elimination is differentiated.
+    """
+    body, torque = forces.body, forces.torque.reshape(-1)
+    force = (contact_force(body, forces.contact) + forces.push - body.bias).at[FREE_DOFS:].add(torque)
+    return mjx_adapter.solve(_matrix(forces), force)
+
+
+@acceleration.defjvp
+def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, "18"], Float[Array, "18"]]:
+    qacc = acceleration(*primals)
+    _, left = jax.jvp(lambda forces: balance(forces, qacc), primals, tangents)
+    return qacc, mjx_adapter.inverse(_matrix(*primals)).times(left)
+
+
+def _matrix(forces: Forces) -> mjx_adapter.JointMatrix:
+    """Inertia, and what acts at the end of the tick."""
+    body, dt = forces.body, forces.dt
+    matrix = jax.tree.map(
+        lambda inertia, drag: inertia + dt * drag,
+        mjx_adapter.blocks(body.mass_matrix),
+        ground.drag_matrix(body, forces.contact),
+    )
+    return eqx.tree_at(lambda m: m.leg, matrix, matrix.leg + dt * forces.damping[..., None] * jnp.eye(6))
+
+
+def balance(forces: Forces, qacc: Float[Array, "18"]) -> Float[Array, "18"]:
+    """What is left of all joint-space forces when an acceleration has taken what it needs: zero for the right one."""
+    body, change = forces.body, forces.dt * qacc
+    late = forces.torque - forces.damping * change[FREE_DOFS:].reshape(2, 6)
+    contact = eqx.tree_at(lambda c: c.force, forces.contact, ground.force_after(body, forces.contact, change))
+    given = (contact_force(body, contact) + forces.push).at[FREE_DOFS:].add(late.reshape(-1))
+    needed = mjx_adapter.inverse_dynamics(body, forces.qvel, qacc, forces.gravity)
+    return given - needed - forces.armature * qacc
 
 
 def servo_torque(

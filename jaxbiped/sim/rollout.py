@@ -5,6 +5,7 @@ the controller and inverse kinematics. Everything here is one robot in one scena
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -116,6 +117,8 @@ class Sample(eqx.Module):
     """Origins of the sole frames [m]."""
     foot_force: Float[Array, "*n 2 3"]
     """Ground force on each foot, world axes [N]."""
+    corner_force: Float[Array, "*n 2 4"]
+    """Vertical force on each sole corner [N]."""
     zmp_world: Float[Array, "*n 2"]
     """Centre of pressure [m]."""
     switch: Bool[Array, "*n 2 4"]
@@ -135,6 +138,12 @@ class Walk(eqx.Module):
     trace: Sample | None
     controller: ControllerState | None = None
     """State of the controller at the end; None where the walk was led by given references."""
+    integral: Float[Array, " m"] | None = None
+    """Integral over time of what `simulate` was asked to integrate."""
+
+
+Rate = Callable[[Sample, Bool[Array, ""]], Float[Array, " m"]]
+"""What is to be integrated over a walk, of one sample and of whether the robot has not failed so far."""
 
 
 def rollout(
@@ -190,8 +199,12 @@ def simulate(
     torque: FeedForward,
     duration: float,
     options: Options,
+    rate: Rate | None = None,
 ) -> Walk:
-    """The roll-out itself, pure: to be mapped over scenarios and differentiated."""
+    """The roll-out itself, pure: to be mapped over scenarios and differentiated.
+
+    Time goes on for a walk that has failed, with the sample of the failure.
+    """
     world = plant.make_plant(robot, model, scenario, options.payload_model)
     state = _start(world, controller, torque, options)
     ticks = round(duration / options.control_dt)
@@ -199,16 +212,35 @@ def simulate(
     # multiply-add), and what is decided by a time would be decided differently for different fields of one record.
     clock = jnp.arange(ticks + 1) * options.control_dt
     step = functools.partial(_control_tick, world, controller, torque, options, clock)
+
+    def advance(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Sample]:
+        state, total = carry
+        state, sample = step(state)
+        if rate is not None:
+            upright = state.physics.statistics.status == statistics.OK
+            total = total + options.control_dt * rate(sample, upright)
+        return (state, total), sample
+
+    def quietly(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], None]:
+        return advance(carry, None)[0], None
+
+    def record(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Sample]:
+        carry, _ = jax.lax.scan(quietly, carry, None, length=options.trace_every - 1)
+        return advance(carry, None)
+
+    carry, trace = (state, None if rate is None else _zero_of(rate, step, state)), None
     if options.trace_every == 0:
-        state, _ = jax.lax.scan(lambda s, _: (step(s)[0], None), state, None, length=ticks)
-        return Walk(state.physics.statistics, None, state.controller)
+        carry, _ = jax.lax.scan(quietly, carry, None, length=ticks)
+    else:
+        carry, trace = jax.lax.scan(record, carry, None, length=ticks // options.trace_every)
+    state, total = carry
+    return Walk(state.physics.statistics, trace, state.controller, total)
 
-    def record(s: State, _: None) -> tuple[State, Sample]:
-        s, _ = jax.lax.scan(lambda r, _: (step(r)[0], None), s, None, length=options.trace_every - 1)
-        return step(s)
 
-    state, trace = jax.lax.scan(record, state, None, length=ticks // options.trace_every)
-    return Walk(state.physics.statistics, trace, state.controller)
+def _zero_of(rate: Rate, step: Any, state: State) -> Float[Array, " m"]:
+    """An integral before the start."""
+    shape = jax.eval_shape(lambda s: rate(step(s)[1], jnp.ones((), bool)), state)
+    return jnp.zeros(shape.shape, shape.dtype)
 
 
 def _start(world: Plant, controller: Controller, torque: FeedForward, options: Options) -> State:
@@ -310,15 +342,18 @@ def _physics_tick(
     body = plant.body_motion(world, state.qpos, state.qvel, time, dt)
     touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, body)
     torque, damping = plant.servo_torque(world, reference, state.qpos, state.qvel, state.integral)
-    force = plant.contact_force(body, touch) + plant.push_force(world, body, time, dt) - body.bias
-    force = force.at[6:].add(torque.reshape(-1))
-    matrix = jax.tree.map(
-        lambda inertia, drag: inertia + dt * drag,
-        mjx_adapter.blocks(body.mass_matrix),
-        ground.drag_matrix(body, touch),
+    forces = plant.Forces(
+        body=body,
+        contact=touch,
+        torque=torque,
+        damping=damping,
+        push=plant.push_force(world, body, time, dt),
+        qvel=state.qvel,
+        gravity=world.model.opt.gravity,
+        armature=world.model.dof_armature,
+        dt=dt,
     )
-    matrix = eqx.tree_at(lambda m: m.leg, matrix, matrix.leg + dt * damping[..., None] * jnp.eye(6))
-    qvel = state.qvel + dt * mjx_adapter.solve(matrix, force)
+    qvel = state.qvel + dt * plant.acceleration(forces)
     new = Physics(
         tick=state.tick + 1,
         qpos=mjx_adapter.integrate(world.model, state.qpos, qvel, dt),
@@ -363,6 +398,7 @@ def _sample(
         roll_pitch_yaw=sensors.roll_pitch_yaw(body.rot_world_trunk),
         p_world_sole=body.p_world_foot - below,
         foot_force=touch.force.sum(axis=1),
+        corner_force=touch.force[..., 2],
         zmp_world=state.zmp,
         switch=state.physics.switches.closed,
         torque=torque,

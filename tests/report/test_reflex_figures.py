@@ -51,6 +51,7 @@ def trace(gait) -> sim.Sample:
         roll_pitch_yaw=jnp.asarray(rng.normal(0, 0.1, (N, 3)), jnp.float32),
         p_world_sole=targets.position.sole + 0.001,
         foot_force=jnp.asarray(rng.uniform(350, 450, (N, 2, 3)), jnp.float32),
+        corner_force=jnp.asarray(rng.uniform(80, 120, (N, 2, 4)), jnp.float32),
         zmp_world=targets.position.pelvis[:, :2] + jnp.asarray(rng.normal(-0.03, 0.01, (N, 2)), jnp.float32),
         switch=jnp.asarray(rng.random((N, 2, 4)) < 0.2),
         torque=jnp.zeros((N, 2, 6)),

@@ -30,6 +30,7 @@ def trace_of(targets, seed, frozen_from=N):
         roll_pitch_yaw=jnp.asarray(rng.normal(0, 0.1, (N, 3)), jnp.float32),
         p_world_sole=targets.position.sole,
         foot_force=jnp.asarray(rng.uniform(0, 900, (N, 2, 3)), jnp.float32),
+        corner_force=jnp.asarray(rng.uniform(0, 200, (N, 2, 4)), jnp.float32),
         zmp_world=jnp.asarray(rng.normal(0, 0.1, (N, 2)), jnp.float32),
         switch=jnp.asarray(rng.random((N, 2, 4)) < 0.2),
         torque=jnp.zeros((N, 2, 6)),

@@ -31,6 +31,7 @@ def sample(targets: Any, time: Any, switch: Any) -> sim.Sample:
         roll_pitch_yaw=jnp.zeros((n, 3)),
         p_world_sole=targets.position.sole,
         foot_force=jnp.zeros((n, 2, 3)),
+        corner_force=jnp.zeros((n, 2, 4)),
         zmp_world=jnp.zeros((n, 2)),
         switch=jnp.asarray(switch),
         torque=jnp.zeros((n, 2, 6)),

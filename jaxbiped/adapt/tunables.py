@@ -1,0 +1,169 @@
+"""What can be tuned: the few numbers of the adaptation, each with bounds, unit and the papers' default.
+
+A name is `landing.T_mod`, `payload.settling_time` or `gait.D_s`. Defaults are those of the arm that is tuned.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbiped.adapt.controller import Controller
+from jaxbiped.robot import RobotParams
+
+GAIT_ROOM = 0.3
+"""How far a gait's parameter may go from where it is, as a share of it."""
+
+
+@dataclass(frozen=True)
+class Tunable:
+    """One number of a controller."""
+
+    name: str
+    """Stage and parameter, as in an arm's TOML file."""
+    low: float
+    """Smallest value allowed."""
+    high: float
+    """Largest value allowed."""
+    unit: str
+    what: str
+    index: tuple[int, ...] = ()
+    """Place in the parameter, if that is a table."""
+
+    @property
+    def stage(self) -> str:
+        """`landing`, `payload` or `gait`."""
+        return self.name.split(".")[0]
+
+    @property
+    def field(self) -> str:
+        """Name of the parameter in its record."""
+        return "x_reflex" if self.index else self.name.split(".")[1]
+
+
+def _offset(phase: str, foot: str, row: int, column: int) -> Tunable:
+    name = f"payload.x_{foot}_{phase.replace(' ', '_')}"
+    what = f"how far the reflex moves the {foot} foot forward, {phase} (thesis: 0.01 forward or back)"
+    return Tunable(name, -0.05, 0.05, "m", what, (row, column))
+
+
+_PHASES = ("left swings", "right swings", "both stand")
+
+TUNABLES: dict[str, Tunable] = {
+    t.name: t
+    for t in (
+        Tunable("landing.T_mod", 0.01, 0.3, "s", "time to set the foot down (khadiv: what the plan needs)"),
+        Tunable("landing.descent_speed", 0.05, 0.5, "m/s", "h over the control tick"),
+        Tunable("landing.delta_x_scale", 0.0, 2.0, "", "factor on delta_x (khadiv: 1)"),
+        Tunable("landing.release_share", 0.3, 1.0, "", "time of release over T_s (khadiv: 1)"),
+        *(
+            _offset(phase, foot, row, column)
+            for row, phase in enumerate(_PHASES)
+            for column, foot in enumerate(("left", "right"))
+        ),
+        Tunable("payload.reflex_time", 0.04, 1.0, "s", "t_refl_per (thesis: 0.1)"),
+        Tunable("payload.settling_time", 1.5, 6.0, "s", "t_set_t (thesis: 2, then 4)"),
+        Tunable(
+            "payload.x_ref_gain", 0.0, 2.0, "", "share of the ZMP error by which x_ref moves (thesis: 1)"
+        ),
+        Tunable("payload.zmp_balanced", -0.1, 0.05, "m", "balanced ZMP from the pelvis (thesis: -0.035)"),
+        Tunable("payload.threshold", 5.0, 200.0, "N", "rise of the filtered force that starts the reflex"),
+    )
+}
+"""By name; a gait's parameters come on top, see `find`."""
+
+
+def find(names: Sequence[str], controller: Controller) -> list[Tunable]:
+    """The tunables of these names for a controller.
+
+    Args:
+        names: each one of TUNABLES, a whole stage (`landing`, `payload`), or `gait.` and a parameter of the gait.
+        controller: that is to be tuned.
+
+    Raises:
+        ValueError: naming what was got and what is allowed.
+    """
+    allowed = [name for name, t in TUNABLES.items() if getattr(controller, t.stage) is not None]
+    allowed += [f"gait.{field}" for field in _gait_fields(controller)]
+    found: list[Tunable] = []
+    for name in names:
+        if f"{name}." in {f"{a.split('.')[0]}." for a in allowed if not a.startswith("gait.")}:
+            found += [t for n, t in TUNABLES.items() if n.startswith(f"{name}.")]
+        elif name in allowed:
+            found.append(TUNABLES[name] if name in TUNABLES else _of_gait(name, controller))
+        else:
+            raise ValueError(f"tunable: got '{name}', allowed: {', '.join(allowed)}")
+    if len({t.name for t in found}) != len(found) or not found:
+        raise ValueError(f"tunables: got {', '.join(names) or 'none'}, allowed: at least one, each once")
+    return found
+
+
+def values(controller: Controller, tunables: Sequence[Tunable]) -> Float[Array, " n"]:
+    """What they are in a controller."""
+    return jnp.stack([_parameter(controller, t)[t.index] for t in tunables])
+
+
+def apply(
+    robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
+) -> Controller:
+    """The controller with other values, planned anew; pure, to be differentiated."""
+    gait, stages = controller.gait, {}
+    own = [(t, new[i]) for i, t in enumerate(tunables) if t.stage == "gait"]
+    if own:
+        params: Any = gait.params
+        for t, value in own:
+            params = eqx.tree_at(lambda p, name=t.field: getattr(p, name), params, value)
+        gait = type(gait).make(robot, params, gait.n_steps, gait.first_swing)
+    for stage in ("landing", "payload"):
+        planned = getattr(controller, stage)
+        params = None if planned is None else planned.params
+        for t, value in ((t, new[i]) for i, t in enumerate(tunables) if t.stage == stage):
+            old = getattr(params, t.field)
+            value = jnp.asarray(old).at[t.index].set(value) if t.index else value
+            params = eqx.tree_at(
+                lambda p, name=t.field: getattr(p, name), params, value, is_leaf=lambda x: x is None
+            )
+        stages[stage] = params
+    return Controller(gait, **stages)
+
+
+def as_tables(
+    controller: Controller, tunables: Sequence[Tunable], new: Sequence[float]
+) -> dict[str, dict[str, Any]]:
+    """The values as the tables of an arm's TOML file: stage, parameter, value."""
+    tables: dict[str, dict[str, Any]] = {}
+    for t, value in zip(tunables, new, strict=True):
+        table = tables.setdefault(t.stage, {})
+        if t.index:
+            whole = table.setdefault(t.field, np.asarray(_parameter(controller, t), float).tolist())
+            whole[t.index[0]][t.index[1]] = float(value)
+        else:
+            table[t.field] = float(value)
+    return tables
+
+
+def _parameter(controller: Controller, t: Tunable) -> Array:
+    if t.name == "landing.T_mod":
+        assert controller.landing is not None
+        return controller.landing.T_mod
+    stage = getattr(controller, t.stage)
+    return jnp.asarray(getattr(stage.params, t.field))
+
+
+def _gait_fields(controller: Controller) -> list[str]:
+    """Names of the gait's parameters that are one number."""
+    return [
+        name
+        for name, value in vars(controller.gait.params).items()
+        if eqx.is_array(value) and value.ndim == 0
+    ]
+
+
+def _of_gait(name: str, controller: Controller) -> Tunable:
+    now = float(getattr(controller.gait.params, name.split(".")[1]))
+    room = GAIT_ROOM * max(abs(now), 0.01)
+    return Tunable(name, now - room, now + room, "", "parameter of the gait")

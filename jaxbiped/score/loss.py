@@ -1,0 +1,109 @@
+"""What a walk costs, smooth in the numbers of its controller: for tuning by gradients.
+
+A loss integrates rates over a walk and makes one number of the integrals and of the walk's last state. Rates have to be
+continuous in time: a rate that jumps at an event gives a derivative that misses the shift of the event. After a failure
+only the lean goes on, at its greatest, so that a later fall costs less; the rest is masked.
+"""
+
+from typing import Protocol
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxbiped import sim
+from jaxbiped.kinematics import GRAVITY
+from jaxbiped.robot import RobotParams
+from jaxbiped.sim.statistics import FALL_TILT
+
+Scalar = Float[Array, ""]
+
+
+class Loss(Protocol):
+    """What a loss has to have; anyone can write one."""
+
+    def rate(self, robot: RobotParams, sample: sim.Sample, upright: Bool[Array, ""]) -> Float[Array, " m"]:
+        """Rates to be integrated over the walk [1/s], from one sample and whether the robot has not failed so far."""
+        ...
+
+    def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: float) -> Scalar:
+        """The loss of a walk that was simulated for `duration` [s]."""
+        ...
+
+
+class WalkLoss(eqx.Module):
+    """Tilt, lean, touchdown force and impulse, slip, ZMP margin and delay, each over what is usual, with its weight."""
+
+    tilt: float = 1.0
+    """Of the mean squared roll and pitch over (2 deg)2."""
+    lean: float = 5.0
+    """Of the mean square of the tilt over 10 deg, in units of 10 deg: what pulls walks back that are about to fall."""
+    force: float = 1.0
+    """Of the touchdown force over the weight: the fourth mean over 10 ms, near its peak."""
+    impulse: float = 5.0
+    """Of the integral of the foot forces over the weight [s]."""
+    slip: float = 0.1
+    """Of the slips of both feet [cm]."""
+    margin: float = 1.0
+    """Of the mean squared shortfall of the centres of pressure from 20 mm inside the soles."""
+    delay: float = 0.05
+    """Of the time for which the plan stood still [s]."""
+
+    def rate(self, robot: RobotParams, sample: sim.Sample, upright: Bool[Array, ""]) -> Float[Array, " m"]:
+        """See `Loss`."""
+        tilt = sample.roll_pitch_yaw[:2]
+        over = jnp.clip(jnp.max(jnp.abs(tilt)), 0.0, FALL_TILT) - _LEAN
+        weight = robot.total_mass * GRAVITY
+        excess = jnp.maximum(sample.foot_force[:, 2] / weight - 1.0, 0.0)
+        share, inside = _pressure_margin(robot, sample.corner_force)
+        short = jnp.maximum(1.0 - inside / _MARGIN, 0.0)
+        masked = jnp.stack(
+            [
+                jnp.sum((tilt / _TILT) ** 2),
+                jnp.sum(excess**4) / _TOUCH,
+                jnp.sum(excess),
+                jnp.sum(share * short**2),
+            ]
+        )
+        lean = jnp.where(upright, jnp.maximum(over, 0.0), FALL_TILT - _LEAN)
+        return jnp.concatenate([jnp.where(upright, masked, 0.0), (lean[None] / _LEAN) ** 2])
+
+    def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: float) -> Scalar:
+        """See `Loss`."""
+        tilt, force, impulse, margin, lean = integral
+        return (
+            self.tilt * tilt / duration
+            + self.lean * lean / duration
+            + self.force * (force + 1e-6) ** 0.25
+            + self.impulse * impulse
+            + self.slip * 100.0 * jnp.sum(walk.statistics.peak_slip)
+            + self.margin * margin / duration
+            + self.delay * _delay(walk)
+        )
+
+
+_TILT, _LEAN = jnp.deg2rad(2.0), jnp.deg2rad(10.0)
+_TOUCH = 0.01
+"""[s]"""
+_MARGIN = 0.02
+"""[m]"""
+
+
+def _pressure_margin(
+    robot: RobotParams, corner_force: Float[Array, "2 4"]
+) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Share of the weight on each foot, and how far its centre of pressure is inside its sole [m]; no jumps."""
+    total = corner_force.sum(axis=1)
+    share = total / (robot.total_mass * GRAVITY)
+    centre = jnp.einsum("fc,fci->fi", corner_force, robot.p_sole_corner[..., :2])
+    centre = centre / jnp.maximum(total, 1.0)[:, None]
+    low, high = robot.p_sole_corner[..., :2].min(axis=1), robot.p_sole_corner[..., :2].max(axis=1)
+    return share, jnp.min(jnp.minimum(centre - low, high - centre), axis=1)
+
+
+def _delay(walk: sim.Walk) -> Scalar:
+    """For how long the plan stood still [s]."""
+    controller = walk.controller
+    if controller is None or controller.payload is None:
+        return jnp.zeros_like(walk.statistics.end_time)
+    return jnp.maximum(controller.payload.time - controller.plan_time, 0.0)

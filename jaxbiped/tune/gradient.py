@@ -1,0 +1,298 @@
+"""Value and gradient of a loss over many scenarios by a controller's tunables: forward mode, and its twins.
+
+Forward mode carries the tangents along with the walk: memory does not grow with the horizon, and the walk itself is
+computed once for all of them. The twins share nothing with it but the simulator: central differences over the same
+scenarios and seeds, and antithetic Gaussian smoothing, which also sees what happens at some distance.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbiped import batch, sim
+from jaxbiped.adapt import Controller, tunables
+from jaxbiped.adapt.tunables import Tunable
+from jaxbiped.robot import RobotParams
+from jaxbiped.score import Loss, WalkLoss, judge
+from jaxbiped.sim.rollout import base_model, make_feed_forward, simulate
+
+LANES = 64
+"""Walks in one call."""
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Losses of walks and their derivatives."""
+
+    tunables: tuple[Tunable, ...]
+    at: np.ndarray
+    """Values of the tunables (k,)."""
+    losses: np.ndarray
+    """Of every scenario (n,)."""
+    by_scenario: np.ndarray
+    """Derivatives of the losses (n, k), per unit of the tunable."""
+    status: np.ndarray
+    """Number in `sim.STATUS_TEXT` of every walk (n,)."""
+    success: np.ndarray
+    """By the papers' rules (n,)."""
+    seconds: float
+    """Wall time, compiling included."""
+
+    @property
+    def value(self) -> float:
+        """Mean loss."""
+        return float(np.mean(self.losses))
+
+    @property
+    def gradient(self) -> np.ndarray:
+        """Of the mean loss (k,); derivatives that are not finite are left out."""
+        return np.nan_to_num(np.nanmean(np.where(self.finite[:, None], self.by_scenario, np.nan), axis=0))
+
+    @property
+    def finite(self) -> np.ndarray:
+        """Which scenarios have finite derivatives (n,)."""
+        return np.all(np.isfinite(self.by_scenario), axis=1)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Whose loss is asked for: an arm of an experiment, its tunables, a loss."""
+
+    experiment: batch.Experiment
+    tunables: tuple[Tunable, ...]
+    loss: Any
+    arm: str
+
+    @classmethod
+    def of(
+        cls,
+        experiment: batch.Experiment,
+        names: Sequence[str | Tunable],
+        loss: Loss | None = None,
+        arm: str | None = None,
+    ) -> "Problem":
+        """Check what is asked for.
+
+        Raises:
+            ValueError: naming what was got and what is allowed.
+        """
+        arm = next(iter(experiment.arms)) if arm is None else arm
+        if arm not in experiment.arms:
+            raise ValueError(f"arm: got '{arm}', allowed: {', '.join(experiment.arms)}")
+        found = [
+            t
+            for n in names
+            for t in ([n] if isinstance(n, Tunable) else tunables.find([n], experiment.arms[arm]))
+        ]
+        if len({t.name for t in found}) != len(found) or not found:
+            raise ValueError(f"tunables: got {[t.name for t in found]}, allowed: at least one, each once")
+        return cls(experiment, tuple(found), WalkLoss() if loss is None else loss, arm)
+
+    @property
+    def controller(self) -> Controller:
+        """The arm."""
+        return self.experiment.arms[self.arm]
+
+    @property
+    def start(self) -> np.ndarray:
+        """Values of the tunables in the arm."""
+        return np.asarray(tunables.values(self.controller, self.tunables), float)
+
+    @property
+    def duration(self) -> float:
+        """How long is simulated [s]."""
+        return self.experiment.durations[self.arm]
+
+    @cached_property
+    def setting(self) -> "_Setting":
+        """What the compiled functions need."""
+        one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
+        experiment = self.experiment
+        return _Setting(
+            experiment.robot,
+            base_model(experiment.robot, one, experiment.simulation),
+            self.controller,
+            self.loss,
+            self.tunables,
+            self.duration,
+            experiment.simulation,
+        )
+
+    def scenarios(self, rows: np.ndarray) -> sim.Scenario:
+        """Scenarios of these rows, as a leading axis."""
+        return batch.scenarios_of(self.experiment.table[rows.tolist()], self.experiment.pads)
+
+
+class _Setting(eqx.Module):
+    """One walk but for its scenario and the values of the tunables."""
+
+    robot: RobotParams
+    model: Any
+    controller: Controller
+    loss: Any
+    tunables: tuple[Tunable, ...] = eqx.field(static=True)
+    duration: float = eqx.field(static=True)
+    options: sim.Options = eqx.field(static=True)
+
+    def losses(self, at: Float[Array, " k"], scenarios: sim.Scenario) -> tuple[Array, dict[str, Array]]:
+        """Losses of a batch, and what became of the walks."""
+        gait = self._controller(at).gait
+
+        def judged(walk: sim.Walk, scenario: sim.Scenario) -> tuple[Array, dict[str, Array]]:
+            assert walk.integral is not None
+            loss = self.loss.total(walk.integral, walk, self.duration)
+            return loss, {"status": walk.statistics.status, "success": judge(walk, gait, scenario).success}
+
+        return jax.vmap(judged)(self.walks(at, scenarios), scenarios)
+
+    def walks(self, at: Float[Array, " k"], scenarios: sim.Scenario) -> sim.Walk:
+        """A batch of walks with their integrals."""
+        controller = self._controller(at)
+        torque = make_feed_forward(self.robot, controller, self.duration, self.options)
+
+        def rate(sample: sim.Sample, upright: Array) -> Array:
+            return self.loss.rate(self.robot, sample, upright)
+
+        def one(scenario: sim.Scenario) -> sim.Walk:
+            return simulate(
+                self.robot, self.model, controller, scenario, torque, self.duration, self.options, rate
+            )
+
+        return jax.vmap(one)(scenarios)
+
+    def _controller(self, at: Float[Array, " k"]) -> Controller:
+        return tunables.apply(self.robot, self.controller, self.tunables, at)
+
+
+@eqx.filter_jit
+def walk_slopes(
+    setting: _Setting, at: Array, scenarios: sim.Scenario
+) -> tuple[Array, Array, dict[str, Array]]:
+    """Losses (n,) and their derivatives (n, k); the walks are computed once, their tangents side by side."""
+
+    def along(unit: Array) -> tuple[Array, Array, dict[str, Array]]:
+        value, slope, aux = jax.jvp(lambda x: setting.losses(x, scenarios), (at,), (unit,), has_aux=True)
+        return value, slope, aux
+
+    units = jnp.eye(len(setting.tunables), dtype=at.dtype)
+    return jax.vmap(along, out_axes=(None, 1, None))(units)
+
+
+@eqx.filter_jit
+def walk_values(setting: _Setting, at: Array, scenarios: sim.Scenario) -> tuple[Array, dict[str, Array]]:
+    """Losses (m, n) at m points, all scenarios at each."""
+    return jax.vmap(lambda x: setting.losses(x, scenarios))(at)
+
+
+@eqx.filter_jit
+def _scattered(setting: _Setting, at: Array, scenarios: sim.Scenario) -> tuple[Array, dict[str, Array]]:
+    """Losses (n, m) at m points for each scenario, its own ones: at (n, m, k)."""
+
+    def one(points: Array, scenario: sim.Scenario) -> tuple[Array, dict[str, Array]]:
+        alone = jax.tree.map(lambda leaf: leaf[None], scenario)
+        loss, aux = jax.vmap(lambda x: setting.losses(x, alone))(points)
+        return loss[:, 0], jax.tree.map(lambda leaf: leaf[:, 0], aux)
+
+    return jax.vmap(one)(at, scenarios)
+
+
+def value_and_grad(
+    experiment: batch.Experiment,
+    names: Sequence[str | Tunable],
+    at: Any = None,
+    loss: Loss | None = None,
+    arm: str | None = None,
+    rows: Any = None,
+) -> Gradient:
+    """Losses and derivatives by forward mode.
+
+    Args:
+        experiment: robot, arms and scenarios; float64 where JAX is set to it.
+        names: of the tunables, see `adapt.tunables`.
+        at: their values (k,); those of the arm if not given.
+        loss: of one walk; `WalkLoss` if not given.
+        arm: name; the first one if not given.
+        rows: of the experiment's scenarios; all if not given.
+    """
+    problem = Problem.of(experiment, names, loss, arm)
+    return forward(problem, _point(problem, at), _rows(problem, rows))
+
+
+def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
+    """Forward mode at a point."""
+    began, setting = time.perf_counter(), problem.setting
+    found = []
+    for chunk, n in _chunks(rows, LANES):
+        value, slope, aux = walk_slopes(setting, jnp.asarray(at), problem.scenarios(chunk))
+        found.append((value[:n], slope[:n], aux["status"][:n], aux["success"][:n]))
+    return _gradient(problem, at, found, began)
+
+
+def central(problem: Problem, at: np.ndarray, rows: np.ndarray, step: float = 1e-4) -> Gradient:
+    """Central differences over the same scenarios; `step` is a share of each tunable's range."""
+    began, setting, k = time.perf_counter(), problem.setting, len(problem.tunables)
+    width = step * np.array([t.high - t.low for t in problem.tunables])
+    points = jnp.asarray(np.concatenate([at[None], at + np.diag(width), at - np.diag(width)]))
+    found = []
+    for chunk, n in _chunks(rows, max(1, LANES // (2 * k + 1))):
+        value, aux = walk_values(setting, points, problem.scenarios(chunk))
+        slope = (value[1 : k + 1] - value[k + 1 :]) / (2.0 * width)[:, None]
+        found.append((value[0, :n], slope.T[:n], aux["status"][0, :n], aux["success"][0, :n]))
+    return _gradient(problem, at, found, began)
+
+
+def smoothed(
+    problem: Problem, at: np.ndarray, rows: np.ndarray, sigma: float = 0.02, pairs: int = 4, seed: int = 0
+) -> Gradient:
+    """Antithetic Gaussian smoothing; `sigma` is a share of each tunable's range, every scenario has its own pairs."""
+    began, setting = time.perf_counter(), problem.setting
+    k, width = len(problem.tunables), np.array([t.high - t.low for t in problem.tunables])
+    rng, found = np.random.default_rng(seed), []
+    for chunk, n in _chunks(rows, max(1, LANES // (2 * pairs + 1))):
+        way = rng.standard_normal((len(chunk), pairs, k))
+        moved = sigma * width * way
+        points = np.concatenate([np.broadcast_to(at, (len(chunk), 1, k)), at + moved, at - moved], axis=1)
+        value, aux = _scattered(setting, jnp.asarray(points), problem.scenarios(chunk))
+        difference = np.asarray(value[:, 1 : pairs + 1] - value[:, pairs + 1 :]) / (2.0 * sigma)
+        slope = np.mean(difference[..., None] * way, axis=1) / width
+        found.append((value[:n, 0], slope[:n], aux["status"][:n, 0], aux["success"][:n, 0]))
+    return _gradient(problem, at, found, began)
+
+
+def _gradient(problem: Problem, at: np.ndarray, found: list[tuple], began: float) -> Gradient:
+    losses, slopes, status, success = (np.concatenate([np.asarray(f[i]) for f in found]) for i in range(4))
+    took = time.perf_counter() - began
+    return Gradient(problem.tunables, np.asarray(at, float), losses, slopes, status, success, took)
+
+
+def _chunks(rows: np.ndarray, lanes: int) -> Iterator[tuple[np.ndarray, int]]:
+    """Rows in pieces of one size, the last one padded, and how many of a piece count."""
+    for start in range(0, len(rows), lanes):
+        piece = rows[start : start + lanes]
+        room = min(lanes, len(rows))
+        yield np.concatenate([piece, np.full(room - len(piece), piece[-1])]), len(piece)
+
+
+def _point(problem: Problem, at: Any) -> np.ndarray:
+    if at is None:
+        return problem.start
+    at = np.asarray(at, float)
+    if at.shape != (len(problem.tunables),) or not np.all(np.isfinite(at)):
+        raise ValueError(f"at: got {at.tolist()}, allowed: {len(problem.tunables)} finite numbers")
+    return at
+
+
+def _rows(problem: Problem, rows: Any) -> np.ndarray:
+    n = problem.experiment.table.height
+    rows = np.arange(n) if rows is None else np.asarray(rows, int)
+    if rows.ndim != 1 or not len(rows) or rows.min() < 0 or rows.max() >= n:
+        raise ValueError(f"rows: got {rows.tolist()}, allowed: numbers from 0 to {n - 1}")
+    return rows

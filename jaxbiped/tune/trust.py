@@ -1,0 +1,277 @@
+"""How far a gradient can be trusted: forward mode beside its twins, the growth of its tangents, and what went wrong.
+
+Forward mode is exact for the simulator as it is written, tick for tick, but not where a walk jumps; and the tangents of
+a walk that is about to fall grow beyond any use. Central differences show the first, smoothing the second.
+"""
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbiped.tune import gradient
+from jaxbiped.tune.gradient import Gradient, Problem
+
+CLIP = 30.0
+"""A scenario whose derivative is longer than so many times the median one is clipped to that."""
+SAMPLES = 8
+"""Of the growth of the tangents, over the walk."""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Forward mode, central differences and smoothing at one point."""
+
+    problem: Problem
+    forward: Gradient
+    central: Gradient
+    smoothed: Gradient
+    growth_time: np.ndarray
+    """[s] (SAMPLES,)."""
+    growth: np.ndarray
+    """Norm of the tangents of trunk and soles then, per range of the tunables, mean over scenarios (SAMPLES,)."""
+    cost_per_tangent: float
+    """Of the gradient beyond the walk itself, as a share of a walk; nan if not measured."""
+
+    @property
+    def width(self) -> np.ndarray:
+        """Ranges of the tunables (k,)."""
+        return np.array([t.high - t.low for t in self.forward.tunables])
+
+    @property
+    def relative(self) -> np.ndarray:
+        """|forward - central| over the larger of both (n, k); nan where both are zero, so that nothing was compared."""
+        a, b = self.forward.by_scenario, self.central.by_scenario
+        size = np.maximum(np.abs(a), np.abs(b))
+        return np.where(size > 0.0, np.abs(a - b) / np.where(size > 0.0, size, 1.0), np.nan)
+
+    @property
+    def median_rel(self) -> float:
+        """Median of `relative` over walks that did not fall."""
+        kept = self.relative[self.forward.status == 0]
+        return float(np.nanmedian(kept)) if np.isfinite(kept).any() else float("nan")
+
+    @property
+    def p90_rel(self) -> float:
+        """90th percentile of the same."""
+        kept = self.relative[self.forward.status == 0]
+        return float(np.nanpercentile(kept, 90)) if np.isfinite(kept).any() else float("nan")
+
+    def cosine(self, twin: Gradient) -> float:
+        """Between forward mode and a twin, per range of the tunables."""
+        a, b = self.clipped_gradient * self.width, _clipped(twin, self.width) * self.width
+        size = np.linalg.norm(a) * np.linalg.norm(b)
+        return float(a @ b / size) if size > 0.0 else 1.0
+
+    def sign_agreement(self, twin: Gradient) -> float:
+        """Share of the tunables, weighted by their derivative, by which both fall or both rise."""
+        a, b = self.clipped_gradient * self.width, _clipped(twin, self.width) * self.width
+        weight = np.abs(a) + np.abs(b)
+        return (
+            float(np.sum(weight * (np.sign(a) == np.sign(b))) / weight.sum()) if weight.sum() > 0.0 else 1.0
+        )
+
+    @property
+    def clipped_gradient(self) -> np.ndarray:
+        """Forward mode, with the derivatives of single scenarios clipped."""
+        return _clipped(self.forward, self.width)
+
+    @property
+    def share_clipped(self) -> float:
+        """Of the scenarios."""
+        return float(np.mean(_scales(self.forward, self.width) < 1.0))
+
+    @property
+    def share_fallen(self) -> float:
+        """Of the scenarios."""
+        return float(np.mean(self.forward.status != 0))
+
+    @property
+    def trusted(self) -> np.ndarray:
+        """Tunables by which forward mode and smoothing agree, within three standard errors of their difference (k,)."""
+        a, b = self.clipped_gradient, _clipped(self.smoothed, self.width)
+        error = np.sqrt(_variance(self.forward, self.width) + _variance(self.smoothed, self.width))
+        largest = np.max(np.abs(b * self.width))
+        small = np.maximum(np.abs(a), np.abs(b)) * self.width <= 1e-3 * largest
+        return (np.abs(a - b) <= 3.0 * error) | small
+
+    @property
+    def mixture(self) -> np.ndarray:
+        """What to descend: forward mode where it is trusted, elsewhere both by their inverse variances (k,)."""
+        return mix(self.forward, self.smoothed, self.trusted)
+
+    def lines(self) -> list[str]:
+        """The report, to read."""
+        kept, n = int(np.sum(self.forward.status == 0)), len(self.forward.losses)
+        head = (
+            f"{'tunable':34s} {'forward':>11s} {'central':>11s} {'smoothed':>11s}   per range of the tunable"
+        )
+        rows = [
+            f"{t.name:34s} {f:11.4g} {c:11.4g} {s:11.4g}   {'agree' if ok else 'DISAGREE: mixed'}"
+            for t, f, c, s, ok in zip(
+                self.forward.tunables,
+                self.clipped_gradient * self.width,
+                _clipped(self.central, self.width) * self.width,
+                _clipped(self.smoothed, self.width) * self.width,
+                self.trusted,
+                strict=True,
+            )
+        ]
+        growth = ", ".join(
+            f"{g:.3g} at {t:.1f} s" for t, g in zip(self.growth_time, self.growth, strict=True)
+        )
+        return [
+            head,
+            *rows,
+            f"cosine with central differences {self.cosine(self.central):.4f}, with smoothing "
+            f"{self.cosine(self.smoothed):.4f}; signs agree for {100 * self.sign_agreement(self.central):.0f} and "
+            f"{100 * self.sign_agreement(self.smoothed):.0f} %",
+            f"forward mode and central differences of single walks differ by {100 * self.median_rel:.2f} % (median), "
+            f"{100 * self.p90_rel:.2f} % (90th percentile) over {kept} of {n} walks that did not fall",
+            f"norm of the tangents: {growth}",
+            f"{100 * self.share_fallen:.0f} % of the walks fall, {100 * self.share_clipped:.0f} % are clipped",
+            f"a tangent costs {self.cost_per_tangent:.2f} walks",
+        ]
+
+    def record(self) -> dict[str, Any]:
+        """The report as plain numbers."""
+        return {
+            "tunables": [t.name for t in self.forward.tunables],
+            "at": self.forward.at.tolist(),
+            "loss": self.forward.value,
+            "forward": self.clipped_gradient.tolist(),
+            "central": _clipped(self.central, self.width).tolist(),
+            "smoothed": _clipped(self.smoothed, self.width).tolist(),
+            "trusted": self.trusted.tolist(),
+            "mixture": self.mixture.tolist(),
+            "cosine": self.cosine(self.central),
+            "cosine_smoothed": self.cosine(self.smoothed),
+            "sign_agreement": self.sign_agreement(self.central),
+            "sign_agreement_smoothed": self.sign_agreement(self.smoothed),
+            "median_rel": self.median_rel,
+            "p90_rel": self.p90_rel,
+            "growth_time_s": self.growth_time.tolist(),
+            "growth": self.growth.tolist(),
+            "share_fallen": self.share_fallen,
+            "share_clipped": self.share_clipped,
+            "cost_per_tangent": self.cost_per_tangent,
+        }
+
+
+def report(
+    problem: Problem,
+    at: np.ndarray,
+    rows: np.ndarray,
+    step: float = 1e-4,
+    sigma: float = 0.02,
+    pairs: int = 4,
+    seed: int = 0,
+) -> Trust:
+    """Forward mode and its twins at a point, and what a tangent costs.
+
+    Args:
+        problem: whose loss.
+        at: values of the tunables (k,).
+        rows: of the experiment's scenarios.
+        step: of the central differences, as a share of each range.
+        sigma: of the smoothing, likewise.
+        pairs: of the smoothing, for each scenario.
+        seed: of the smoothing.
+    """
+    times, growth = tangent_growth(problem, at, rows[: gradient.LANES])
+    return Trust(
+        problem,
+        gradient.forward(problem, at, rows),
+        gradient.central(problem, at, rows, step),
+        gradient.smoothed(problem, at, rows, sigma, pairs, seed),
+        times,
+        growth,
+        cost_per_tangent(problem, at, rows[: gradient.LANES]),
+    )
+
+
+def tangent_growth(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and norms of the tangents of trunk and soles [m and rad per range of the tunables]."""
+    options = problem.experiment.simulation
+    every = max(1, round(problem.duration / options.control_dt) // SAMPLES)
+    sampled = dataclasses.replace(options, trace_every=every)
+    setting = dataclasses.replace(problem.setting, options=sampled)
+    width = jnp.asarray([t.high - t.low for t in problem.tunables])
+    times, norms = _growth(setting, jnp.asarray(at), width, problem.scenarios(rows))
+    return np.asarray(times), np.asarray(norms)
+
+
+@eqx.filter_jit
+def _growth(setting: Any, at: Any, width: Any, scenarios: Any) -> tuple[Any, Any]:
+    def poses(x: Any) -> tuple[Any, Any]:
+        trace = setting.walks(x, scenarios).trace
+        n = trace.p_world_trunk.shape[:2]
+        parts = (trace.p_world_trunk, trace.roll_pitch_yaw, trace.p_world_sole.reshape(*n, 6))
+        return jnp.concatenate(parts, axis=-1), trace.time[0]
+
+    def along(unit: Any) -> tuple[Any, Any]:
+        _, slope, times = jax.jvp(poses, (at,), (unit,), has_aux=True)
+        return jnp.sum(slope**2, axis=-1), times
+
+    squares, times = jax.vmap(along, out_axes=(0, None))(jnp.diag(width))
+    return times, jnp.mean(jnp.sqrt(jnp.sum(squares, axis=0)), axis=0)
+
+
+def cost_per_tangent(problem: Problem, at: np.ndarray, rows: np.ndarray) -> float:
+    """Time of the gradient less that of the walks, over tangents and walks; compiling left out, best of three."""
+    setting, scenarios, x = problem.setting, problem.scenarios(rows), jnp.asarray(at)
+
+    def walks() -> Any:
+        return gradient.walk_values(setting, x[None], scenarios)
+
+    def slopes() -> Any:
+        return gradient.walk_slopes(setting, x, scenarios)
+
+    def best(function: Any) -> float:
+        jax.block_until_ready(function())
+        seconds = []
+        for _ in range(3):
+            began = time.perf_counter()
+            jax.block_until_ready(function())
+            seconds.append(time.perf_counter() - began)
+        return min(seconds)
+
+    plain = best(walks)
+    return (best(slopes) - plain) / (len(problem.tunables) * plain)
+
+
+def mix(forward: Gradient, other: Gradient, trusted: np.ndarray) -> np.ndarray:
+    """Forward mode where it is trusted, elsewhere the mean of both, weighted by their inverse variances (k,)."""
+    width = np.array([t.high - t.low for t in forward.tunables])
+    a, b = _clipped(forward, width), _clipped(other, width)
+    va, vb = _variance(forward, width), _variance(other, width)
+    total = va + vb
+    share = np.where(total > 0.0, vb / np.where(total > 0.0, total, 1.0), 0.5)
+    return np.where(trusted, a, share * a + (1.0 - share) * b)
+
+
+def _scales(found: Gradient, width: np.ndarray) -> np.ndarray:
+    """Factor on the derivatives of every scenario (n,): 1, less where it is clipped, 0 where it is not finite."""
+    size = np.linalg.norm(np.where(found.finite[:, None], found.by_scenario, 0.0) * width, axis=1)
+    moved = size[size > 0.0]
+    limit = CLIP * np.median(moved) if moved.size else 1.0
+    return np.where(found.finite, np.minimum(1.0, limit / np.maximum(size, 1e-30)), 0.0)
+
+
+def _parts(found: Gradient, width: np.ndarray) -> np.ndarray:
+    return np.where(found.finite[:, None], found.by_scenario, 0.0) * _scales(found, width)[:, None]
+
+
+def _clipped(found: Gradient, width: np.ndarray) -> np.ndarray:
+    return _parts(found, width).mean(axis=0)
+
+
+def _variance(found: Gradient, width: np.ndarray) -> np.ndarray:
+    """Of the mean over scenarios (k,)."""
+    parts = _parts(found, width)
+    return parts.var(axis=0, ddof=1) / len(parts) if len(parts) > 1 else np.full(parts.shape[1], np.inf)
