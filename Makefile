@@ -32,7 +32,7 @@ bench: $(STAMP)  ## Time the kernels against their peers on this machine
 
 lock: .venv-lock/bin/uv  ## Write requirements.lock anew from pyproject.toml
 	$< pip compile --quiet --universal --python-version 3.11 --upgrade --no-config \
-		--extra viz --extra cluster --extra dev --no-emit-index-url --no-emit-find-links \
+		--extra viz --extra cluster --extra tune --extra dev --no-emit-index-url --no-emit-find-links \
 		--custom-compile-command "make lock" pyproject.toml --output-file requirements.lock
 
 clean:  ## Remove the environments and caches; runs/ stays

@@ -20,6 +20,7 @@ from jaxbiped.commands import (
     payload,
     replay,
     report_page,
+    tune,
     walk,
 )
 
@@ -29,6 +30,7 @@ Command = (
     | walk.Walk
     | payload.Payload
     | obstacles.Obstacles
+    | tune.Tune
     | replay.Replay
     | report_page.Report
     | doctor.Doctor
@@ -66,6 +68,8 @@ def _run(command: Command) -> dict[str, Any]:
             return payload.run(command)
         case obstacles.Obstacles():
             return obstacles.run(command)
+        case tune.Tune():
+            return tune.run(command)
         case replay.Replay():
             return replay.run(command)
         case report_page.Report():

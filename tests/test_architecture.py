@@ -20,8 +20,9 @@ LEFT_OF: dict[str, set[str]] = {
     "adapt": {"robot", "kinematics", "planner"},
     "sim": {"robot", "kinematics", "planner", "adapt"},
     "score": {"robot", "kinematics", "planner", "adapt", "sim"},
-    "tune": {"robot", "kinematics", "planner", "adapt", "sim", "score"},
     "batch": {"robot", "kinematics", "planner", "adapt", "sim", "score"},
+    # tune is right of batch: what is tuned on, and what is held out, are experiments.
+    "tune": {"robot", "kinematics", "planner", "adapt", "sim", "score", "batch"},
     "report": {"robot", "kinematics", "planner", "adapt", "sim", "score", "batch"},
     "commands": {"robot", "kinematics", "planner", "adapt", "sim", "score", "tune", "batch", "report"},
 }

@@ -134,8 +134,17 @@ def apply(
 def as_tables(
     controller: Controller, tunables: Sequence[Tunable], new: Sequence[float]
 ) -> dict[str, dict[str, Any]]:
-    """The values as the tables of an arm's TOML file: stage, parameter, value."""
+    """The values as the tables of an arm's TOML file: stage, parameter, value.
+
+    Where the gait is tuned, what the payload stage had read off the old one is kept as numbers.
+    """
     tables: dict[str, dict[str, Any]] = {}
+    if controller.payload is not None and any(t.stage == "gait" for t in tunables):
+        params = controller.payload.params
+        read = {
+            name: getattr(params, name) for name in ("zmp_balanced", "threshold", "slow_threshold", "x_stand")
+        }
+        tables["payload"] = {name: float(value) for name, value in read.items() if value is not None}
     for t, value in zip(tunables, new, strict=True):
         table = tables.setdefault(t.stage, {})
         if t.index:

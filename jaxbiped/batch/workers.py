@@ -31,6 +31,7 @@ ONE_THREAD = {
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "POLARS_MAX_THREADS": "1",
+    "MALLOC_ARENA_MAX": "1",
 }
 """Environment of a process that is to use one core, and less memory to compile; XLA reads its flags when it is first
 used."""

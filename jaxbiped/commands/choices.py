@@ -1,9 +1,12 @@
 """What names on the command line stand for: gaits, simulations, arms of adaptation."""
 
+import dataclasses
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from jaxbiped import adapt, planner, robot, sim
 from jaxbiped.commands.common import InputError
@@ -65,9 +68,10 @@ def reflex_of(
 
 
 def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) -> adapt.Controller:
-    """A controller from a TOML file with the tables [landing] and [payload], either of which may be left out.
+    """A controller from a TOML file with the tables [landing], [payload] and [gait], any of which may be left out.
 
-    Each has `base`, the name of an arm, and any of the parameters of that stage.
+    The first two have `base`, the name of an arm, and any of the parameters of that stage; the last one parameters of
+    the gait. Other tables, as of where the numbers came from, are not read.
 
     Raises:
         InputError: if the file cannot be read or says what cannot be meant.
@@ -78,8 +82,10 @@ def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) ->
         raise InputError(f"{argument}: got '{path}' ({error}), allowed: a TOML file of an arm") from None
     tables: dict[str, Any] = {name: data.get(name, {"base": OFF}) for name in ("landing", "payload")}
     bases = {"landing": LANDINGS, "payload": REFLEXES}
-    if not set(data) & set(tables):
-        raise InputError(f"{argument}: got '{path}', allowed: a file with a table [landing] or [payload]")
+    if not set(data) & {*tables, "gait"}:
+        raise InputError(
+            f"{argument}: got '{path}', allowed: a file with a table [landing], [payload] or [gait]"
+        )
     for name, table in tables.items():
         base = table.get("base") if isinstance(table, Mapping) else None
         if base not in bases[name]:
@@ -88,6 +94,7 @@ def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) ->
             )
     landing, payload = ({k: v for k, v in tables[name].items() if k != "base"} for name in tables)
     try:
+        gait = _other_gait(data.get("gait", {}), params, gait)
         return adapt.Controller(
             gait,
             landing=landing_of(tables["landing"]["base"], **landing),
@@ -95,3 +102,15 @@ def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) ->
         )
     except (TypeError, ValueError) as error:
         raise InputError(f"{argument}: '{path}': {error}") from None
+
+
+def _other_gait(table: Any, params: robot.RobotParams, gait: Any) -> Any:
+    """The gait with other values of some of its parameters."""
+    if not table:
+        return gait
+    numbers = {name: value for name, value in vars(gait.params).items() if np.ndim(value) == 0}
+    for name, value in dict(table).items():
+        if name not in numbers or not isinstance(value, int | float):
+            raise ValueError(f"[gait]: got {name} = {value!r}, allowed: numbers for {', '.join(numbers)}")
+    new = dataclasses.replace(gait.params, **{name: float(value) for name, value in table.items()})
+    return type(gait).make(params, new, gait.n_steps, gait.first_swing)

@@ -13,6 +13,9 @@ from jaxtyping import Array, Float
 from jaxbiped.planner.feasibility import instant
 from jaxbiped.robot import RobotParams
 
+_TOGETHER = 128
+"""Rows computed at once."""
+
 
 class FeedForward(eqx.Module):
     """Joint torques over the time of the plan."""
@@ -38,5 +41,9 @@ def none() -> FeedForward:
 @eqx.filter_jit
 def plan(robot: RobotParams, gait: Any, duration: float, interval: float = 0.005) -> FeedForward:
     """Tabulate the plan's joint torques; the feet share the ground wrench by the ZMP."""
-    times = jnp.arange(int(duration / interval) + 2) * interval
-    return FeedForward(jax.lax.map(lambda t: instant(robot, gait, t).torque, times, batch_size=256), interval)
+    rows = _TOGETHER * (
+        int(duration / interval + 2) // _TOGETHER + 1
+    )  # whole batches: a last, shorter one compiles anew
+    times = jnp.arange(rows) * interval
+    torque = jax.lax.map(lambda t: instant(robot, gait, t).torque, times, batch_size=_TOGETHER)
+    return FeedForward(torque, interval)

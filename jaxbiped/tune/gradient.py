@@ -267,6 +267,16 @@ def smoothed(
     return _gradient(problem, at, found, began)
 
 
+def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Losses and successes (n,), without derivatives."""
+    found = []
+    for chunk, n in _chunks(rows, LANES):
+        value, aux = walk_values(problem.setting, jnp.asarray(at)[None], problem.scenarios(chunk))
+        found.append((np.asarray(value[0, :n]), np.asarray(aux["success"][0, :n])))
+    losses, success = (np.concatenate(part) for part in zip(*found, strict=True))
+    return losses, success
+
+
 def _gradient(problem: Problem, at: np.ndarray, found: list[tuple], began: float) -> Gradient:
     losses, slopes, status, success = (np.concatenate([np.asarray(f[i]) for f in found]) for i in range(4))
     took = time.perf_counter() - began

@@ -81,6 +81,7 @@ def compare(case: Callable[[], Case]) -> None:
         tangents = np.concatenate([units, np.tile(units[0], (len(moved), 1))])
         both = eqx.filter_jit(jax.vmap(lambda p, t: jax.jvp(value, (p,), (t,))))
         values, slopes = map(np.asarray, both(jnp.asarray(points), jnp.asarray(tangents)))
+    slopes = slopes[:2]
     pairs = values[2:].reshape(len(STEPS), 2, 2, -1)
     central = (pairs[:, :, 0] - pairs[:, :, 1]) / (2 * np.array(STEPS)[:, None] * sizes)[..., None]
     for i, name in enumerate(nominal):

@@ -1,0 +1,258 @@
+"""Tuning: descend a loss over scenarios inside the tunables' bounds, stop by scenarios that were held out.
+
+Adam in the logarithm of a tunable's way up over its way down, where there are no bounds. Every step takes a few
+scenarios of the experiment; at intervals a trust report says which gradient to descend until the next one, and the
+held-out scenarios say whether it was worth it. All that is known stands in one file after every step.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbiped import batch
+from jaxbiped.tune import gradient, trust
+from jaxbiped.tune.gradient import Problem
+
+EDGE = 1e-3
+"""How near to a bound a start may be, as a share of the range."""
+STATE = "tune.json"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to descend."""
+
+    steps: int = 40
+    scenarios: int = 16
+    """In a step."""
+    rate: float = 0.15
+    """Largest change in a step, of the unconstrained variable."""
+    trust_every: int = 10
+    """Steps between trust reports."""
+    held_out_every: int = 5
+    """Steps between looks at the held-out scenarios."""
+    patience: int = 4
+    """Looks without a smaller held-out loss before it stops."""
+    sigma: float = 0.03
+    """Of the smoothing, as a share of each range."""
+    pairs: int = 2
+    """Of the smoothing, for each scenario."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be meant."""
+        for name in ("steps", "scenarios", "trust_every", "held_out_every", "patience", "pairs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: got {getattr(self, name)}, allowed: >= 1")
+        for name in ("rate", "sigma"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name}: got {getattr(self, name):g}, allowed: > 0 and <= 1")
+
+
+@dataclass
+class Descent:
+    """Where a descent is."""
+
+    step: int = 0
+    z: list[float] = field(default_factory=list)
+    """Unconstrained values."""
+    first: list[float] = field(default_factory=list)
+    """First moments of Adam."""
+    second: list[float] = field(default_factory=list)
+    """Second moments of Adam."""
+    trusted: list[bool] = field(default_factory=list)
+    """By the last report."""
+    best: dict[str, Any] = field(default_factory=dict)
+    """Values with the smallest held-out loss, and what it was."""
+    history: list[dict[str, Any]] = field(default_factory=list)
+    """One object for every step."""
+    reports: list[dict[str, Any]] = field(default_factory=list)
+    """Trust reports, with their step."""
+    finished: str = ""
+    """Why it ended."""
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What came of it."""
+
+    problem: Problem
+    values: np.ndarray
+    """Of the tunables, with the smallest held-out loss (k,)."""
+    before: dict[str, float]
+    """Held-out loss and success at the start."""
+    after: dict[str, float]
+    """The same at `values`."""
+    descent: Descent
+
+
+def tune(
+    problem: Problem,
+    held_out: batch.Experiment,
+    out: Path,
+    settings: Settings | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Tuned:
+    """Tune an arm; goes on where it was stopped.
+
+    Args:
+        problem: what is tuned, on which scenarios.
+        held_out: the same arms in scenarios that no step sees.
+        out: folder of the state.
+        settings: how.
+        tell: is given a line of progress after every step.
+
+    Raises:
+        ValueError: if the folder holds the state of another descent.
+    """
+    settings = settings or Settings()
+    judge = Problem(held_out, problem.tunables, problem.loss, problem.arm)
+    state = _load(out, problem, judge, settings)
+    while not state.finished:
+        _advance(state, problem, judge, settings, tell)
+        _save(out, state, problem, judge, settings)
+    first = next(h for h in state.history if "held_out_loss" in h)
+    before, after = ({k: float(h[f"held_out_{k}"]) for k in ("loss", "success")} for h in (first, state.best))
+    return Tuned(problem, np.asarray(state.best["at"]), before, after, state)
+
+
+def _advance(
+    state: Descent, problem: Problem, judge: Problem, settings: Settings, tell: Callable[[str], None]
+) -> None:
+    """One step: look at the held-out scenarios, report on trust, descend."""
+    at = to_values(problem, np.asarray(state.z))
+    entry: dict[str, Any] = {"step": state.step, "at": at.tolist()}
+    if state.step % settings.held_out_every == 0 or state.step == settings.steps:
+        entry |= held_out_score(judge, at)
+        if not state.best or entry["held_out_loss"] < state.best["held_out_loss"]:
+            state.best = dict(entry)
+        looks = [h["step"] for h in [*state.history, entry] if "held_out_loss" in h]
+        if sum(step > state.best["step"] for step in looks) >= settings.patience:
+            state.finished = f"no smaller held-out loss in {settings.patience} looks"
+    if state.step == settings.steps:
+        state.finished = state.finished or f"{settings.steps} steps"
+    if not state.finished:
+        entry |= _descend(state, problem, settings, at)
+    state.history.append(entry)
+    state.step += 1
+    tell(_line(entry))
+
+
+def _descend(state: Descent, problem: Problem, settings: Settings, at: np.ndarray) -> dict[str, Any]:
+    rng = np.random.default_rng([settings.seed, state.step])
+    n = problem.experiment.table.height
+    rows = rng.choice(n, min(settings.scenarios, n), replace=False)
+    if state.step % settings.trust_every == 0:
+        report = trust.report(problem, at, rows, sigma=settings.sigma, pairs=settings.pairs, seed=state.step)
+        state.trusted = report.trusted.tolist()
+        state.reports.append({"step": state.step, **report.record()})
+        forward, slope = report.forward, report.mixture
+    else:
+        forward = gradient.forward(problem, at, rows)
+        twin = forward
+        if not all(state.trusted):
+            twin = gradient.smoothed(problem, at, rows, settings.sigma, settings.pairs, state.step)
+        slope = trust.mix(forward, twin, np.asarray(state.trusted))
+    slope = slope * _range_slope(problem, np.asarray(state.z))
+    _adam(state, slope, settings.rate)
+    fell = float(np.mean(forward.status != 0))
+    return {"loss": forward.value, "gradient_norm": float(np.linalg.norm(slope)), "share_fallen": fell}
+
+
+def _adam(state: Descent, slope: np.ndarray, rate: float) -> None:
+    """One step of Adam, its state kept as plain numbers."""
+    try:
+        import optax
+    except ImportError as error:
+        raise ImportError("tuning needs optax: pip install 'jaxbiped[tune]'") from error
+    method = optax.scale_by_adam()
+    adam = optax.ScaleByAdamState(
+        jnp.asarray(state.step), jnp.asarray(state.first), jnp.asarray(state.second)
+    )
+    way, adam = method.update(jnp.asarray(slope), adam)
+    assert isinstance(adam, optax.ScaleByAdamState)
+    state.z = (np.asarray(state.z) - rate * np.asarray(way)).tolist()
+    state.first, state.second = np.asarray(adam.mu).tolist(), np.asarray(adam.nu).tolist()
+
+
+def held_out_score(judge: Problem, at: np.ndarray) -> dict[str, float]:
+    """Mean loss and share of successes of all scenarios of a problem."""
+    losses, success = gradient.outcomes(judge, at, np.arange(judge.experiment.table.height))
+    return {"held_out_loss": float(np.mean(losses)), "held_out_success": float(np.mean(success))}
+
+
+def to_values(problem: Problem, z: np.ndarray) -> np.ndarray:
+    """Values of the tunables within their bounds."""
+    low, high = _bounds(problem)
+    return low + (high - low) / (1.0 + np.exp(-z))
+
+
+def to_unconstrained(problem: Problem, at: np.ndarray) -> np.ndarray:
+    """The inverse; values on a bound are moved a little into the range."""
+    low, high = _bounds(problem)
+    share = np.clip((at - low) / (high - low), EDGE, 1.0 - EDGE)
+    return np.log(share / (1.0 - share))
+
+
+def _bounds(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([t.low for t in problem.tunables]), np.array([t.high for t in problem.tunables])
+
+
+def _range_slope(problem: Problem, z: np.ndarray) -> np.ndarray:
+    low, high = _bounds(problem)
+    share = 1.0 / (1.0 + np.exp(-z))
+    return (high - low) * share * (1.0 - share)
+
+
+def _line(entry: dict[str, Any]) -> str:
+    parts = [f"step {entry['step']:3d}"]
+    if "loss" in entry:
+        parts.append(f"loss {entry['loss']:.4f}, gradient {entry['gradient_norm']:.3g}")
+        parts.append(f"{100 * entry['share_fallen']:.0f} % fall")
+    if "held_out_loss" in entry:
+        parts.append(
+            f"held out: loss {entry['held_out_loss']:.4f}, success {100 * entry['held_out_success']:.1f} %"
+        )
+    return "   ".join(parts)
+
+
+def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
+    """Of what decides a descent."""
+    what = {
+        "experiments": [p.experiment.resolved for p in (problem, judge)],
+        "tunables": [asdict(t) for t in problem.tunables],
+        "loss": repr(problem.loss),
+        "arm": problem.arm,
+        "settings": {**asdict(settings), "steps": 0},  # more steps go on with the same descent
+    }
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+
+def _load(out: Path, problem: Problem, judge: Problem, settings: Settings) -> Descent:
+    path = out / STATE
+    if not path.exists():
+        z, k = to_unconstrained(problem, problem.start), len(problem.tunables)
+        return Descent(z=z.tolist(), first=[0.0] * k, second=[0.0] * k, trusted=[True] * k)
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    if kept.pop("key") != _key(problem, judge, settings):
+        raise ValueError(f"out: got '{out}' with the state of another descent, allowed: another folder")
+    state = Descent(**kept)
+    if state.finished.endswith("steps") and state.step <= settings.steps:
+        state.finished, state.step = "", state.step - 1
+        state.history.pop()
+    return state
+
+
+def _save(out: Path, state: Descent, problem: Problem, judge: Problem, settings: Settings) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    temporary = out / f"{STATE}.tmp"
+    text = json.dumps({"key": _key(problem, judge, settings), **asdict(state)}, indent=1)
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, out / STATE)
