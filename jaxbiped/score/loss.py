@@ -5,7 +5,7 @@ continuous in time: a rate that jumps at an event gives a derivative that misses
 only the lean goes on, at its greatest, so that a later fall costs less; the rest is masked.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jaxbiped.sim.statistics import FALL_TILT
 Scalar = Float[Array, ""]
 
 
+@runtime_checkable
 class Loss(Protocol):
     """What a loss has to have; anyone can write one."""
 

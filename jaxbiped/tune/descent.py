@@ -228,11 +228,17 @@ def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
     what = {
         "experiments": [p.experiment.resolved for p in (problem, judge)],
         "tunables": [asdict(t) for t in problem.tunables],
-        "loss": repr(problem.loss),
+        "loss": _name(problem.loss),
         "arm": problem.arm,
         "settings": {**asdict(settings), "steps": 0},  # more steps go on with the same descent
     }
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+
+def _name(loss: Any) -> str:
+    """Of a loss: its class, and its fields if it shows them."""
+    shown = "" if type(loss).__repr__ is object.__repr__ else repr(loss)
+    return f"{type(loss).__module__}.{type(loss).__qualname__} {shown}"
 
 
 def _load(out: Path, problem: Problem, judge: Problem, settings: Settings) -> Descent:

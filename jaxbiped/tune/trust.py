@@ -93,12 +93,16 @@ class Trust:
 
     @property
     def trusted(self) -> np.ndarray:
-        """Tunables by which forward mode and smoothing agree, within three standard errors of their difference (k,)."""
+        """Tunables by which forward mode and smoothing agree, and it does not vary much more than smoothing (k,).
+
+        That is within three standard errors of their difference; variances are those over the scenarios.
+        """
         a, b = self.clipped_gradient, _clipped(self.smoothed, self.width)
-        error = np.sqrt(_variance(self.forward, self.width) + _variance(self.smoothed, self.width))
+        va, vb = _variance(self.forward, self.width), _variance(self.smoothed, self.width)
+        error = np.sqrt(va + vb)
         largest = np.max(np.abs(b * self.width))
         small = np.maximum(np.abs(a), np.abs(b)) * self.width <= 1e-3 * largest
-        return (np.abs(a - b) <= 3.0 * error) | small
+        return ((np.abs(a - b) <= 3.0 * error) & (va <= 2.0 * vb)) | small
 
     @property
     def mixture(self) -> np.ndarray:
@@ -109,10 +113,10 @@ class Trust:
         """The report, to read."""
         kept, n = int(np.sum(self.forward.status == 0)), len(self.forward.losses)
         head = (
-            f"{'tunable':34s} {'forward':>11s} {'central':>11s} {'smoothed':>11s}   per range of the tunable"
+            f"{'tunable':34s} {'forward':>11s} {'central':>11s} {'smoothed':>11s}   per range; descended by"
         )
         rows = [
-            f"{t.name:34s} {f:11.4g} {c:11.4g} {s:11.4g}   {'agree' if ok else 'DISAGREE: mixed'}"
+            f"{t.name:34s} {f:11.4g} {c:11.4g} {s:11.4g}   {'forward' if ok else 'MIXED'}"
             for t, f, c, s, ok in zip(
                 self.forward.tunables,
                 self.clipped_gradient * self.width,
@@ -167,7 +171,7 @@ def report(
     problem: Problem,
     at: np.ndarray,
     rows: np.ndarray,
-    step: float = 1e-4,
+    widths: Any = None,
     sigma: float = 0.02,
     pairs: int = 4,
     seed: int = 0,
@@ -178,8 +182,8 @@ def report(
         problem: whose loss.
         at: values of the tunables (k,).
         rows: of the experiment's scenarios.
-        step: of the central differences, as a share of each range.
-        sigma: of the smoothing, likewise.
+        widths: of the central differences (k,), see `gradient.default_widths`.
+        sigma: of the smoothing, as a share of each range.
         pairs: of the smoothing, for each scenario.
         seed: of the smoothing.
     """
@@ -187,7 +191,7 @@ def report(
     return Trust(
         problem,
         gradient.forward(problem, at, rows),
-        gradient.central(problem, at, rows, step),
+        gradient.central(problem, at, rows, widths),
         gradient.smoothed(problem, at, rows, sigma, pairs, seed),
         times,
         growth,

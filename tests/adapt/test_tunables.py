@@ -1,0 +1,109 @@
+"""What can be tuned: names, bounds, and a controller with other values."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbiped import robot
+from jaxbiped.adapt import Controller, Landing, PayloadReflex, tunables
+from jaxbiped.adapt.tunables import TUNABLES
+from jaxbiped.planner import PolynomialGait
+
+
+@pytest.fixture(scope="module")
+def made():
+    biped = robot.load("surena3")
+    gait = PolynomialGait.preset(biped, 4)
+    return biped, Controller(gait, Landing.repaired(), PayloadReflex.modified(biped, gait, threshold=60.0))
+
+
+def moved(found, at):
+    """Other values, inside the bounds."""
+    low, high = np.array([t.low for t in found]), np.array([t.high for t in found])
+    return jnp.asarray(np.where(at < 0.5 * (low + high), at + 0.2 * (high - at), at - 0.2 * (at - low)))
+
+
+def test_defaults_lie_within_their_bounds(made):
+    _, controller = made
+    found = tunables.find(["landing", "payload"], controller)
+    assert [t.name for t in found] == list(TUNABLES)
+    for t, value in zip(found, np.asarray(tunables.values(controller, found)), strict=True):
+        assert t.low <= value <= t.high, t.name
+        assert t.unit in ("m", "s", "m/s", "N", "")
+
+
+def test_applied_values_are_those_of_the_controller_and_the_rest_stays(made):
+    biped, controller = made
+    found = tunables.find([*TUNABLES, "gait.x_s", "gait.T_s"], controller)
+    new = moved(found, np.asarray(tunables.values(controller, found), float))
+    other: Any = tunables.apply(biped, controller, found, new)
+    np.testing.assert_allclose(tunables.values(other, found), new, rtol=1e-6)
+    assert other.payload.params.slow_threshold == controller.payload.params.slow_threshold
+    assert jax.tree.structure(other.gait) == jax.tree.structure(controller.gait)
+    assert other.gait.timing.T_s == pytest.approx(float(new[-1]))
+    # what a stage reads off the plan is read off the new one
+    assert not np.allclose(other.payload.resume_plan_time, controller.payload.resume_plan_time)
+
+
+def test_the_same_values_give_the_same_controller(made):
+    biped, controller = made
+    found = tunables.find(["payload"], controller)
+    other = tunables.apply(biped, controller, found, tunables.values(controller, found))
+    for a, b in zip(jax.tree.leaves(other), jax.tree.leaves(controller), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_one_place_of_a_table_is_one_tunable(made):
+    biped, controller = made
+    for t in tunables.find(
+        [name for name in TUNABLES if ".x_left" in name or ".x_right" in name], controller
+    ):
+        other: Any = tunables.apply(biped, controller, [t], jnp.array([0.037]))
+        changed = np.asarray(other.payload.params.x_reflex) != np.asarray(controller.payload.params.x_reflex)
+        assert changed.sum() == 1 and changed[t.index]
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (["landing.h"], "landing.T_mod"),
+        (["reflex"], "payload.reflex_time"),
+        (["gait.x_z"], "gait.x_s"),
+        (["gait"], "gait.x_s"),
+        (["payload", "payload.threshold"], "each once"),
+        ([], "at least one"),
+    ],
+)
+def test_unknown_names_are_refused(made, names, says):
+    with pytest.raises(ValueError, match=r"^tunables?: got .*, allowed: ") as refusal:
+        tunables.find(names, made[1])
+    assert says in str(refusal.value)
+
+
+def test_a_stage_that_is_not_there_cannot_be_tuned(made):
+    _, controller = made
+    with pytest.raises(ValueError, match=r"got 'payload', allowed: landing\.T_mod"):
+        tunables.find(["payload"], Controller(controller.gait, Landing.repaired()))
+
+
+def test_tables_of_a_file(made):
+    _, controller = made
+    found = tunables.find(
+        ["payload.x_left_left_swings", "payload.settling_time", "landing.T_mod"], controller
+    )
+    tables = tunables.as_tables(controller, found, [0.02, 3.0, 0.1])
+    assert tables["landing"] == {"T_mod": 0.1} and tables["payload"]["settling_time"] == 3.0
+    wanted = np.array(controller.payload.params.x_reflex, float)
+    wanted[0, 0] = 0.02
+    np.testing.assert_allclose(tables["payload"]["x_reflex"], wanted)
+
+
+def test_what_was_read_off_another_plan_is_written_down(made):
+    _, controller = made
+    found = tunables.find(["gait.x_s"], controller)
+    tables = tunables.as_tables(controller, found, [0.05])
+    assert tables["gait"] == {"x_s": 0.05}
+    assert tables["payload"]["threshold"] == pytest.approx(float(controller.payload.params.threshold))

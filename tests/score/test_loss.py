@@ -1,0 +1,108 @@
+"""The loss of a walk: its rates against NumPy, continuous, masked after a fall, larger the worse the walk."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbiped import robot
+from jaxbiped.planner import TaskSpace
+from jaxbiped.score import WalkLoss
+from jaxbiped.sim import Sample
+
+ROBOT = robot.load("surena3")
+WEIGHT = float(ROBOT.total_mass) * 9.81
+TILT, FORCE, IMPULSE, MARGIN, LEAN = range(5)
+
+
+def sample(roll=0.0, pitch=0.0, corners=None):
+    """One row of a trace; corners (2, 4) are vertical forces in shares of the weight."""
+    corners = np.full((2, 4), 0.125) if corners is None else np.asarray(corners, float)
+    force = jnp.asarray(corners * WEIGHT)
+    zero = jnp.zeros(())
+    feet = jnp.zeros((2, 3)).at[:, 2].set(force.sum(axis=1))
+    task = TaskSpace(jnp.zeros((2, 3)), jnp.zeros(3))
+    fields = {
+        "time": zero,
+        "p_world_trunk": jnp.zeros(3),
+        "roll_pitch_yaw": jnp.array([roll, pitch, 0.0]),
+        "p_world_sole": jnp.zeros((2, 3)),
+        "foot_force": feet,
+        "corner_force": force,
+        "zmp_world": jnp.zeros(2),
+        "switch": jnp.ones((2, 4), bool),
+        "torque": jnp.zeros((2, 6)),
+        "qpos": jnp.zeros(19),
+        "targets": task,
+    }
+    made = object.__new__(Sample)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+def rate(upright=True, **given):
+    return np.asarray(WalkLoss().rate(ROBOT, sample(**given), jnp.asarray(upright)), float)
+
+
+def test_standing_still_costs_nothing():
+    np.testing.assert_allclose(rate(), 0.0, atol=1e-9)
+
+
+def test_tilt_costs_its_square_over_two_degrees():
+    got = rate(roll=np.deg2rad(1.0), pitch=np.deg2rad(-3.0))
+    assert got[TILT] == pytest.approx((1.0 + 9.0) / 4.0, rel=1e-5)
+    assert got[LEAN] == 0.0
+
+
+@pytest.mark.parametrize("degrees", [10.0, 12.0, 20.0, 44.0])
+def test_lean_counts_from_ten_degrees(degrees):
+    assert rate(pitch=-np.deg2rad(degrees))[LEAN] == pytest.approx(((degrees - 10.0) / 10.0) ** 2, abs=1e-5)
+
+
+def test_lean_of_a_fall_goes_on_at_what_it_was():
+    """Continuous at the fall, at whatever tilt the robot stays lying."""
+    last = rate(pitch=np.deg2rad(45.0))[LEAN]
+    for degrees in (3.0, 45.0, 80.0):
+        fallen = rate(upright=False, pitch=np.deg2rad(degrees))
+        assert fallen[LEAN] == pytest.approx(last, rel=1e-5)
+        np.testing.assert_array_equal(fallen[:LEAN], 0.0)
+
+
+def test_force_over_the_weight_costs():
+    corners = np.zeros((2, 4))
+    corners[1] = 0.5  # twice the weight on the right foot
+    got = rate(corners=corners)
+    assert got[IMPULSE] == pytest.approx(1.0, rel=1e-5)
+    assert got[FORCE] == pytest.approx(1.0 / 0.01, rel=1e-5)
+
+
+def test_pressure_near_an_edge_costs_by_the_share_of_the_weight():
+    corner = np.asarray(ROBOT.p_sole_corner)[0]
+    front = corner[:, 0] == corner[:, 0].max()
+    share = np.zeros((2, 4))
+    share[0, front] = 0.4  # all of the left foot's force on its toes, 80 % of the weight
+    share[1] = 0.05
+    assert rate(corners=share)[MARGIN] == pytest.approx(0.8, rel=1e-4)
+
+
+def test_margin_does_not_jump_when_a_foot_is_unloaded():
+    shares = np.linspace(0.0, 1e-3, 11)
+    corners = np.zeros((11, 2, 4))
+    corners[:, 0] = 0.25
+    corners[:, 1, 0] = shares  # one corner of the other foot: its centre of pressure is on the corner
+    got = np.array([rate(corners=c)[MARGIN] for c in corners])
+    assert got[0] == 0.0
+    assert np.max(np.abs(np.diff(got))) < 2e-4
+
+
+def test_rates_have_derivatives_where_nothing_is_loaded():
+    def total(x):
+        corners = jnp.zeros((2, 4)) + 0.0 * x
+        one = sample(roll=0.0)
+        object.__setattr__(one, "corner_force", corners)
+        object.__setattr__(one, "roll_pitch_yaw", jnp.array([0.1, 0.0, 0.0]) * x)
+        return WalkLoss().rate(ROBOT, one, jnp.asarray(True)).sum()
+
+    assert np.isfinite(jax.grad(total)(1.0))
+    assert jax.grad(total)(1.0) > 0.0

@@ -1,0 +1,40 @@
+"""Problems of tuning that several test files share."""
+
+from typing import Any
+
+import numpy as np
+
+import jaxbiped as jb
+from jaxbiped.adapt import Controller, Landing, PayloadReflex
+from jaxbiped.batch import Choice, Uniform
+from jaxbiped.tune import Problem
+
+PAYLOAD = (
+    "payload.x_left_left_swings",
+    "payload.x_right_right_swings",
+    "payload.reflex_time",
+    "payload.x_ref_gain",
+)
+LANDING = ("landing.T_mod", "landing.descent_speed", "landing.delta_x_scale", "landing.release_share")
+THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
+
+
+def payload(n: int, duration: float, names: Any = PAYLOAD, heaviest: float = 8.0, seed: int = 1) -> Problem:
+    """elkahlout with the modified reflex and a load at any time of its first step."""
+    robot = jb.robot.load("elkahlout")
+    gait = jb.planner.CosineGait.preset(robot, 6)
+    arm = Controller(gait, payload=PayloadReflex.modified(robot, gait))
+    scenarios = jb.batch.draw(n, seed, load_kg=Uniform(3.0, heaviest), load_time_s=Uniform(1.5, 3.5))
+    return Problem.of(
+        jb.batch.Experiment(robot, {"modified": arm}, scenarios, THESIS, duration=duration), names
+    )
+
+
+def landing(n: int, duration: float, names: Any = LANDING, seed: int = 1) -> Problem:
+    """surena3 with the repaired landing and a pad or a hole under its second step."""
+    robot = jb.robot.load("surena3")
+    gait = jb.planner.PolynomialGait.preset(robot, 6)
+    arm = Controller(gait, landing=Landing.repaired())
+    heights = tuple(float(h) for h in np.linspace(-0.04, 0.04, 33) if abs(h) > 0.004)
+    scenarios = jb.batch.draw(n, seed, step_1_height_m=Choice(heights), friction=Uniform(0.6, 1.0))
+    return Problem.of(jb.batch.Experiment(robot, {"repaired": arm}, scenarios, duration=duration), names)

@@ -1,0 +1,175 @@
+"""The descent and the trust report, on losses whose derivatives are known: no walk is simulated."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import payload
+
+from jaxbiped.adapt.tunables import Tunable
+from jaxbiped.tune import Gradient, Settings, Trust, descent, gradient, trust
+from jaxbiped.tune.descent import to_unconstrained, to_values
+
+NAMES = ("payload.reflex_time", "payload.settling_time", "payload.x_ref_gain")
+GOAL = np.array([0.5, 2.5, 0.4])
+"""Values of the tunables where the loss is smallest."""
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return payload(12, 1.0, NAMES)
+
+
+@pytest.fixture
+def bowl(monkeypatch, problem):
+    """A loss that is a bowl around GOAL, a little different in every scenario."""
+    width = np.array([t.high - t.low for t in problem.tunables])
+    calls = {"forward": 0, "smoothed": 0, "lie": False}
+
+    def losses(at, rows):
+        return np.sum(((at - GOAL) / width) ** 2) * (1.0 + 0.1 * np.cos(rows))
+
+    def made(p, at, rows, sign=1.0, noise=0.0):
+        rng = np.random.default_rng(0)
+        slope = 2.0 * (at - GOAL) / width**2 * (1.0 + 0.1 * np.cos(rows))[:, None]
+        slope = sign * slope + noise * rng.standard_normal(slope.shape) / width
+        n = len(rows)
+        return Gradient(p.tunables, at, losses(at, rows), slope, np.zeros(n, int), np.ones(n, bool), 0.0)
+
+    def forward(p, at, rows):
+        calls["forward"] += 1
+        return made(p, at, rows, -1.0 if calls["lie"] else 1.0, 3.0 if calls["lie"] else 0.0)
+
+    def smoothed(p, at, rows, *_, **__):
+        calls["smoothed"] += 1
+        return made(p, at, rows, noise=1e-3)
+
+    monkeypatch.setattr(gradient, "forward", forward)
+    monkeypatch.setattr(gradient, "central", lambda p, at, rows, *_: made(p, at, rows))
+    monkeypatch.setattr(gradient, "smoothed", smoothed)
+    monkeypatch.setattr(
+        gradient, "outcomes", lambda p, at, rows: (losses(at, rows), np.ones(len(rows), bool))
+    )
+    monkeypatch.setattr(trust, "tangent_growth", lambda *_: (np.arange(1.0, 9.0), np.ones(8)))
+    monkeypatch.setattr(trust, "cost_per_tangent", lambda *_: 0.5)
+    return calls
+
+
+SETTINGS = Settings(steps=60, scenarios=4, rate=0.2, trust_every=20, held_out_every=5, patience=4)
+
+
+def test_values_stay_within_their_bounds(problem):
+    for z in np.linspace(-30.0, 30.0, 13):
+        at = to_values(problem, np.full(3, z))
+        for t, value in zip(problem.tunables, at, strict=True):
+            assert t.low <= value <= t.high
+    at = np.array([0.3, 2.0, 1.7])
+    np.testing.assert_allclose(to_values(problem, to_unconstrained(problem, at)), at, rtol=1e-12)
+
+
+def test_it_finds_the_bottom_of_a_bowl(bowl, problem, tmp_path):
+    tuned = descent.tune(problem, problem.experiment, tmp_path, SETTINGS)
+    np.testing.assert_allclose(tuned.values, GOAL, atol=0.03)
+    assert tuned.after["loss"] < 1e-2 * tuned.before["loss"]
+    assert bowl["smoothed"] == len(tuned.descent.reports)  # only for the reports: forward mode was trusted
+
+
+def test_a_gradient_that_lies_is_not_followed(bowl, problem, tmp_path):
+    bowl["lie"] = True
+    tuned = descent.tune(problem, problem.experiment, tmp_path, SETTINGS)
+    assert not any(tuned.descent.reports[0]["trusted"])
+    np.testing.assert_allclose(tuned.values, GOAL, atol=0.1)
+
+
+def test_it_stops_when_held_out_scenarios_get_no_better(bowl, problem, tmp_path):
+    far = replace(SETTINGS, steps=400)
+    tuned = descent.tune(problem, problem.experiment, tmp_path, far)
+    assert tuned.descent.step < 400 and "no smaller held-out loss" in tuned.descent.finished
+
+
+def test_stopped_and_resumed_is_made_in_one_go(bowl, problem, tmp_path):
+    whole = descent.tune(problem, problem.experiment, tmp_path / "whole", replace(SETTINGS, steps=12))
+
+    def stop(line):
+        if line.startswith("step   6"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        descent.tune(problem, problem.experiment, tmp_path / "parts", replace(SETTINGS, steps=12), stop)
+    parts = descent.tune(problem, problem.experiment, tmp_path / "parts", replace(SETTINGS, steps=12))
+    assert json.dumps(parts.descent.history) == json.dumps(whole.descent.history)
+    again = descent.tune(problem, problem.experiment, tmp_path / "parts", replace(SETTINGS, steps=12))
+    assert again.descent == parts.descent
+
+
+def test_more_steps_go_on(bowl, problem, tmp_path):
+    whole = descent.tune(problem, problem.experiment, tmp_path / "whole", replace(SETTINGS, steps=20))
+    descent.tune(problem, problem.experiment, tmp_path / "parts", replace(SETTINGS, steps=10))
+    parts = descent.tune(problem, problem.experiment, tmp_path / "parts", replace(SETTINGS, steps=20))
+    np.testing.assert_allclose(parts.descent.z, whole.descent.z, rtol=1e-6)
+
+
+def test_the_folder_of_another_descent_is_refused(bowl, problem, tmp_path):
+    descent.tune(problem, problem.experiment, tmp_path, replace(SETTINGS, steps=2))
+    with pytest.raises(ValueError, match="another descent"):
+        descent.tune(problem, problem.experiment, tmp_path, replace(SETTINGS, steps=2, rate=0.1))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("steps", 0), ("scenarios", 0), ("patience", 0), ("rate", 0.0), ("sigma", 2.0)]
+)
+def test_settings_that_cannot_be_meant_are_refused(name, value):
+    with pytest.raises(ValueError, match=rf"^{name}: got .*, allowed: "):
+        Settings(**{name: value})
+
+
+def of(slopes, status=None):
+    """A gradient of two tunables with ranges 1 and 2."""
+    slopes = np.asarray(slopes, float)
+    ts = (Tunable("payload.a", 0.0, 1.0, "s", ""), Tunable("payload.b", -1.0, 1.0, "m", ""))
+    n = len(slopes)
+    status = np.zeros(n, int) if status is None else np.asarray(status)
+    return Gradient(ts, np.zeros(2), np.zeros(n), slopes, status, status == 0, 0.0)
+
+
+def report(problem, forward, central, smoothed):
+    return Trust(problem, forward, central, smoothed, np.arange(8.0), np.ones(8), 0.5)
+
+
+def test_report_compares_what_can_be_compared(problem):
+    forward = of([[1.0, 0.0], [2.0, 0.0], [5.0, 3.0]], [0, 0, 1])
+    central = of([[1.1, 0.0], [2.0, 0.0], [9.0, 3.0]], [0, 0, 1])
+    one = report(problem, forward, central, central)
+    np.testing.assert_allclose(one.relative[:2, 0], [0.1 / 1.1, 0.0])
+    assert np.isnan(one.relative[:2, 1]).all()  # nothing moved: nothing was compared
+    assert one.median_rel == pytest.approx(0.05 / 1.1)
+    assert one.share_fallen == pytest.approx(1 / 3)
+
+
+def test_signs_and_cosine(problem):
+    forward, against = of([[1.0, 1.0]] * 4), of([[1.0, -1.0]] * 4)
+    one = report(problem, forward, forward, against)
+    assert one.cosine(one.central) == pytest.approx(1.0) and one.sign_agreement(one.central) == 1.0
+    assert one.cosine(against) == pytest.approx((1.0 - 4.0) / 5.0)  # per range: (1, 2) and (1, -2)
+    assert one.sign_agreement(against) == pytest.approx(1.0 / 3.0)
+    assert one.trusted.tolist() == [True, False]
+
+
+def test_the_mixture_leans_to_the_one_with_less_variance(problem):
+    rng = np.random.default_rng(1)
+    forward = of(np.array([3.0, -3.0]) + 30.0 * rng.standard_normal((200, 2)))
+    other = of(np.array([1.0, 1.0]) + 0.1 * rng.standard_normal((200, 2)))
+    mixed = trust.mix(forward, other, np.array([False, False]))
+    np.testing.assert_allclose(mixed, [1.0, 1.0], atol=0.1)
+    np.testing.assert_allclose(trust.mix(forward, other, np.array([True, True])), forward.gradient, atol=1.0)
+
+
+def test_single_scenarios_are_clipped_and_those_without_a_derivative_left_out(problem):
+    slopes = [[1.0, 0.0]] * 9 + [[1e9, 0.0], [np.nan, 0.0]]
+    one = report(problem, of(slopes), of(slopes), of(slopes))
+    assert one.share_clipped == pytest.approx(2 / 11)
+    assert one.clipped_gradient[0] == pytest.approx((9.0 + trust.CLIP) / 11.0)
+    assert np.isfinite(one.mixture).all()
+    json.dumps(one.record())
+    assert any("clipped" in line for line in one.lines())
