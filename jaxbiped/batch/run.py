@@ -1,6 +1,5 @@
 """Run an experiment into a folder: what is there is kept, what is missing is walked."""
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -9,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
 import polars as pl
 
 from jaxbiped.batch import workers as crew
@@ -171,12 +169,7 @@ class _Count:
 
 def _workers(given: int | None) -> int:
     if given is None:
-        gpus = [device for device in jax.devices() if device.platform != "cpu"]
-        return (
-            len(gpus) or len(os.sched_getaffinity(0))
-            if hasattr(os, "sched_getaffinity")
-            else os.cpu_count() or 1
-        )
+        return len(crew.gpus()) or crew.cores()
     if not 1 <= given <= 4096:
         raise ValueError(f"workers: got {given}, allowed: 1 to 4096")
     return given

@@ -32,6 +32,7 @@ ONE_THREAD = {
     "MKL_NUM_THREADS": "1",
     "POLARS_MAX_THREADS": "1",
     "MALLOC_ARENA_MAX": "1",
+    "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
 }
 """Environment of a process that is to use one core, and less memory to compile; XLA reads its flags when it is first
 used."""
@@ -39,8 +40,18 @@ ROOM_MIB = 1200.0
 """Of memory, over which a worker forgets what it has compiled for another kind of arm before it compiles again."""
 DEATHS = 10
 """How many workers may die over one chunk before it is given up; of a scheduler elsewhere its own setting counts."""
-DEAF = "import signal\n\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-"""Script of a worker of this process: a Ctrl-C reaches it too, but it is this process that says what is to be done."""
+WORKER_SCRIPT = """
+import os, signal
+
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+def dask_setup(worker):
+    gpus = {gpus!r}
+    if gpus:
+        os.environ["CUDA_VISIBLE_DEVICES"] = gpus[int(worker.name) % len(gpus)]
+"""
+"""Of the workers of this process: a Ctrl-C reaches them too, but it is this process that says what is to be done; and
+each has a GPU of its own, if there are any."""
 PATIENCE_S = 60.0
 """How long a scheduler may be without any worker before the run is given up."""
 POLL_S = 1.0
@@ -70,6 +81,18 @@ def keep_compiled_kernels() -> None:
     folder = Path(os.environ.get("XDG_CACHE_HOME") or default) / "jaxbiped" / "jax"
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def gpus() -> list[str]:
+    """Numbers of the GPUs of this machine, as CUDA_VISIBLE_DEVICES has them."""
+    found = [device for device in jax.local_devices() if device.platform != "cpu"]
+    allowed = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
+    return [allowed[i] if len(allowed) == len(found) else str(i) for i in range(len(found))]
+
+
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def in_this_process(experiment: Experiment, chunks: list[Chunk]) -> Done:
@@ -199,7 +222,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
         },
         "distributed.admin.large-graph-warning-threshold": "1 TB",
         "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
-        "distributed.worker.preload": [DEAF],
+        "distributed.worker.preload": [WORKER_SCRIPT.format(gpus=gpus())],
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,

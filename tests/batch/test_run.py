@@ -293,3 +293,14 @@ def test_two_dask_workers_give_the_same_table(walked, tmp_path):
     one, _, folder = walked
     batch.run(one, tmp_path, workers=2)
     assert table_bytes(tmp_path) == table_bytes(folder)
+
+
+def test_every_worker_has_one_thread_and_a_gpu_of_its_own(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(workers, "gpus", lambda: ["3", "5"])
+    with workers._client(2, None) as client:
+        client.wait_for_workers(2)
+        seen = client.run(os.getenv, "CUDA_VISIBLE_DEVICES").values()
+        flags = client.run(os.getenv, "XLA_FLAGS").values()
+    assert sorted(seen) == ["3", "5"]
+    assert all("intra_op_parallelism_threads=1" in flag for flag in flags)

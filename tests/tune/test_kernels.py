@@ -1,9 +1,10 @@
-"""Derivatives of the single kernels, in float64: forward mode against central differences, reverse mode against forward.
+"""Derivatives of the single kernels, in float64: forward mode against central differences, reverse against forward.
 
 And not zero where physics says so: a derivative that a `where` or a rounded event instant has cut off is finite, looks
 fine, and tunes nothing. State machines run over a made-up history of the sensors, without physics.
 """
 
+import itertools
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -68,8 +69,8 @@ def slopes(
 ) -> tuple[Numbers, dict[str, Slopes]]:
     """Values of many cases, and their derivatives by every number that has a size; one compilation.
 
-    Each is differentiated along a random way of that size, forward; the same function, a little ahead and behind, gives
-    the central difference. Reverse mode has to be the transpose.
+    Each is differentiated along a random way of that size, but a number itself by itself; the same function, a little
+    ahead and behind, gives the central difference. Reverse mode has to be the transpose.
     """
     rng = np.random.default_rng(7)
     at = {name: np.asarray(value, float) for name, value in at.items()}
@@ -92,13 +93,10 @@ def slopes(
     found = {}
     for i, (name, size) in enumerate(sizes.items()):
         twin = {k: (v[i, 1] - v[i, 2]) / (2.0 * WIDTH) for k, v in value.items()}
+        own = {k: v[i, 0] for k, v in forward.items()}
         unit = size if at[name].ndim == 1 else 1.0
-        found[name] = Slopes(*({k: v / unit for k, v in s.items()} for s in _first(forward, twin, i)))
+        found[name] = Slopes(*({k: v / unit for k, v in one.items()} for one in (own, twin)))
     return {k: v[0, 0] for k, v in value.items()}, found
-
-
-def _first(forward: Numbers, twin: Numbers, i: int) -> tuple[Numbers, Numbers]:
-    return {k: v[i, 0] for k, v in forward.items()}, twin
 
 
 def assert_equal(found: dict[str, Slopes], keep: Any = None, rel: float = 1e-6) -> float:
@@ -106,12 +104,13 @@ def assert_equal(found: dict[str, Slopes], keep: Any = None, rel: float = 1e-6) 
     worst = 0.0
     for name, one in found.items():
         for key, central in one.central.items():
-            forward, central = (x.reshape(len(x), -1) for x in (one.forward[key], central))
+            forward = one.forward[key]
             if keep is not None:
-                mask = np.broadcast_to(keep[..., None], one.central[key].shape[: keep.ndim] + (1,))
-                spread = int(np.prod(one.central[key].shape[keep.ndim :], dtype=int))
-                mask = np.repeat(mask, spread, axis=-1).reshape(forward.shape)
-                forward, central = np.where(mask, forward, 0.0), np.where(mask, central, 0.0)
+                forward, central = (
+                    np.where(keep.reshape(*keep.shape, *(1,) * (x.ndim - keep.ndim)), x, 0.0)
+                    for x in (forward, central)
+                )
+            forward, central = (x.reshape(len(x), -1) for x in (forward, central))
             assert np.all(np.isfinite(forward)), (name, key)
             size = np.abs(central).max(axis=1)
             size = np.maximum(size, 1e-3 * size.max())
@@ -204,47 +203,56 @@ def test_ground_forces(x64):
         np.testing.assert_array_equal(one.forward["force"][~pressed], 0.0)
 
 
-@partial(jax.jit, static_argnums=(2, 3), compiler_options=NOT_OPTIMISED)
-def _landed(biped: Any, z0: Any, dt: float, after: float):
-    """Speeds of the robot's mass, dropped onto level soles, `after` seconds after it came down, by its height too."""
+TOUCH_TICK, AFTER, MOVED = 1e-4, 0.03, 1e-6
+"""Tick [s], for how long after the touch the mass is followed [s], and by how much its height is moved [m]."""
+
+
+@partial(jax.jit, compiler_options=NOT_OPTIMISED)
+def _landed(biped: Any, z0: Any, ticks: Any):
+    """Speeds of the robot's mass, dropped onto level soles, after so many ticks, and how near a tick was to the touch.
+
+    With their derivatives by its height.
+    """
     flat = Scenario.flat(1)
 
     def speed_at_end(z0: Any, ticks: Any) -> Any:
         def tick(state: Any, i: Any) -> Any:
-            z, v = state
-            height, speed = z + biped.ankle_height, v
-            body = level(jnp.stack([height, height]), jnp.stack([speed, speed]))
-            touch = ground.contact(biped, flat.ground, flat.terrain, body)
-            v_new = v + dt * (touch.force[..., 2].sum() / biped.total_mass - GRAVITY)
-            new = (z + dt * v_new, v_new)
+            z, v, nearest = state
+            height, speed = jnp.stack([z, z]) + biped.ankle_height, jnp.stack([v, v])
+            touch = ground.contact(biped, flat.ground, flat.terrain, level(height, speed))
+            v_new = v + TOUCH_TICK * (touch.force[..., 2].sum() / biped.total_mass - GRAVITY)
+            new = (z + TOUCH_TICK * v_new, v_new, jnp.minimum(nearest, jnp.abs(z)))
             return jax.tree.map(lambda a, b: jnp.where(i < ticks, a, b), new, state), None
 
-        longest = int((np.sqrt(2 * 0.2 / GRAVITY) + after) / dt) + 1
-        return jax.lax.scan(tick, (z0, jnp.zeros(())), jnp.arange(longest))[0][1]
+        longest = jnp.arange(int((np.sqrt(2 * DROPS.max() / GRAVITY) + AFTER) / TOUCH_TICK) + 1)
+        _, *found = jax.lax.scan(tick, (z0, jnp.zeros(()), z0), longest)[0]
+        return found
 
-    ticks = ((jnp.sqrt(2 * z0 / GRAVITY) + after) / dt).astype(
-        int
-    )  # of the height itself, not of one moved a little
+    return jax.vmap(lambda z, n: jax.jvp(lambda z: speed_at_end(z, n), (z,), (jnp.ones(()),)))(z0, ticks)
 
-    def slope(z0: Any, ticks: Any) -> Any:
-        return jax.jvp(lambda z: speed_at_end(z, ticks), (z0,), (jnp.ones(()),))
 
-    moved = jnp.stack([z0, z0 + 1e-6, z0 - 1e-6])
-    return jax.vmap(slope)(moved.reshape(-1), jnp.tile(ticks, 3))
+DROPS = np.geomspace(0.01, 0.2, 40)
+"""Heights the mass falls from [m]."""
 
 
 def test_mass_that_lands_on_the_ground(x64):
-    """Through the instant of the touch, which moves with the height and is nowhere computed."""
-    z0 = np.linspace(0.01, 0.2, 24) + 1e-4 * np.sin(np.arange(24))
-    speed, slope = (
-        np.asarray(x).reshape(3, -1) for x in _landed(robot.load("surena3"), jnp.asarray(z0), 1e-4, 0.03)
+    """Through the instant of the touch, which moves with the height and is nowhere computed.
+
+    The tick's own kink, where the mass touches at a tick to a micrometre, is no derivative's and left out.
+    """
+    ticks = ((np.sqrt(2 * DROPS / GRAVITY) + AFTER) / TOUCH_TICK).astype(int)
+    moved = np.concatenate([DROPS, DROPS + MOVED, DROPS - MOVED])
+    (speed, nearest), (slope, _) = _landed(
+        robot.load("surena3"), jnp.asarray(moved), jnp.asarray(np.tile(ticks, 3))
     )
-    central = (speed[1] - speed[2]) / 2e-6
-    fallen = -np.sqrt(2 * GRAVITY * z0)
-    assert np.all(speed[0] > 0.5 * fallen), "it did not land"
-    np.testing.assert_allclose(slope[0], central, rtol=1e-4)
-    assert np.all(np.abs(slope[0]) > 0.01)
-    print(f"worst difference {np.max(np.abs(slope[0] / central - 1)):.2g}")
+    speed, nearest = (np.asarray(x).reshape(3, -1) for x in (speed, nearest))
+    slope, central = np.asarray(slope)[: len(DROPS)], (speed[1] - speed[2]) / (2 * MOVED)
+    assert np.all(speed[0] > -0.5 * np.sqrt(2 * GRAVITY * DROPS)), "it did not land"
+    smooth_there = nearest[0] > 3 * MOVED
+    assert smooth_there.mean() > 0.8
+    np.testing.assert_allclose(slope[smooth_there], central[smooth_there], rtol=1e-4)
+    assert np.all(np.abs(slope) > 0.01)
+    print(f"worst difference {np.max(np.abs(slope / central - 1)[smooth_there]):.2g}")
 
 
 # ---------------------------------------------------------------- servos
@@ -253,7 +261,7 @@ def test_mass_that_lands_on_the_ground(x64):
 def test_torques(x64):
     """Inside the limits, at the torque limit, where the motor fades, and beyond."""
     biped = robot.load("surena3")
-    low, high = np.asarray(biped.servo.torque_limit), np.asarray(biped.servo.speed_limit)
+    kp, low, high = (np.asarray(getattr(biped.servo, f)) for f in ("kp", "torque_limit", "speed_limit"))
 
     def torque(x: Numbers) -> Numbers:
         fields = ("kp", "kv", "ki", "torque_limit", "speed_limit")
@@ -263,19 +271,22 @@ def test_torques(x64):
 
     rng, n = np.random.default_rng(1), 60
     shape = (n, 2, 6)
-    servos = {f: getattr(biped.servo, f) * rng.uniform(0.7, 1.3, shape) for f in ("kp", "kv", "torque_limit")}
-    wide = low / np.asarray(biped.servo.kp)
-    at = servos | {
+    at = {
+        "kp": kp * rng.uniform(0.7, 1.3, shape),
+        "kv": rng.uniform(
+            2.0, 15.0, shape
+        ),  # less than the preset's, which brakes so hard that no motor fades
         "ki": rng.uniform(10.0, 50.0, shape),
+        "torque_limit": low * rng.uniform(0.7, 1.3, shape),
         "speed_limit": high * rng.uniform(0.7, 1.3, shape),
-        "wanted_angle": wide * rng.uniform(-1.5, 1.5, shape),
+        "wanted_angle": low / kp * rng.uniform(-1.5, 1.5, shape),
         "wanted_speed": high * rng.uniform(-1.2, 1.2, shape),
         "feed_forward": low * rng.uniform(-0.3, 0.3, shape),
-        "angle": wide * rng.uniform(-0.5, 0.5, shape),
+        "angle": low / kp * rng.uniform(-0.5, 0.5, shape),
         "speed": high * rng.uniform(-1.2, 1.2, shape),
         "integral": rng.uniform(-0.1, 0.1, shape),
     }
-    value, found = slopes(torque, at, {name: float(np.ptp(v)) for name, v in at.items()})
+    _, found = slopes(torque, at, {name: float(np.ptp(v)) for name, v in at.items()})
     assert_equal(found)
 
     wanted = np.clip(at["wanted_speed"], -at["speed_limit"], at["speed_limit"])
@@ -335,7 +346,7 @@ def test_centre_of_pressure(x64):
         "otherwise": uniform(rng, n, -1.0, 1.0, 2),
     }
     at["force"][:5] *= 1e-4
-    value, found = slopes(centre, at, {"force": 100.0, "points": 0.1, "otherwise": 1.0})
+    _, found = slopes(centre, at, {"force": 100.0, "points": 0.1, "otherwise": 1.0})
     assert_equal(found)
     by = {name: one.forward["centre"] for name, one in found.items()}
     for name in ("force", "points"):
@@ -372,12 +383,12 @@ def test_closing_instant(x64):
 
     rng, n = np.random.default_rng(4), 20
     own = uniform(rng, n, 0.005, 0.02, 2, 4)
-    drop, share = uniform(rng, n, 1e-5, 1e-3, 2, 4), uniform(rng, n, 0.05, 0.95, 2, 4)
+    drop, share = uniform(rng, n, 1e-4, 1e-3, 2, 4), uniform(rng, n, 0.05, 0.95, 2, 4)
     at = {"gap_before": own + share * drop, "gap": own - (1.0 - share) * drop, "delta_z": own}
     at["gap_before"][0], at["gap"][1] = own[0] - 1e-3, own[1] + 1e-3
     at |= {"time": uniform(rng, n, 1.0, 2.0), "last": uniform(rng, n, 0.0, 1.0, 2, 4)}
-    sizes = {"gap_before": 1e-5, "gap": 1e-5, "delta_z": 1e-5, "time": 1e-2, "last": 1e-2}
-    value, found = slopes(closing, at, sizes)
+    sizes = {"gap_before": 1e-3, "gap": 1e-3, "delta_z": 1e-3, "time": 1e-2, "last": 1e-2}
+    _, found = slopes(closing, at, sizes)
     assert_equal(found)
     by = {name: one.forward["time"] for name, one in found.items()}
     np.testing.assert_allclose(by["time"][2:], 1.0, rtol=1e-12)
@@ -447,7 +458,8 @@ def test_instant_of_a_falling_mass(x64):
 def test_joint_angles(x64, name):
     """Every angle but the yaw moves with the foot, and forward kinematics takes the foot where it was moved."""
     biped = robot.load(name)
-    stand = planner.PolynomialGait.preset(biped, 2).task(jnp.asarray(1.0))
+    below_hip = jnp.array([0.0, 0.0, -0.93]) * (biped.thigh_length + biped.shank_length)
+    below_hip = below_hip.at[2].add(-biped.ankle_height)
 
     def angles(x: Numbers) -> Numbers:
         found, _ = kinematics.joint_angles(biped, x["sole"])
@@ -455,7 +467,7 @@ def test_joint_angles(x64, name):
 
     rng, n = np.random.default_rng(5), 30
     spread = rng.uniform((-0.1, -0.04, 0.0), (0.1, 0.04, 0.06), (n, 2, 3))
-    at = {"sole": np.asarray(stand.sole - stand.pelvis) + spread}
+    at = {"sole": np.asarray(biped.p_pelvis_hip + below_hip) + spread}
     value, found = slopes(angles, at, {"sole": 0.05})
     assert_equal(found)
     np.testing.assert_allclose(value["sole"], at["sole"], atol=1e-12)
@@ -469,6 +481,12 @@ def test_joint_angles(x64, name):
 # ---------------------------------------------------------------- gaits
 
 GAITS = {"cosine": planner.CosineGait, "polynomial": planner.PolynomialGait}
+
+
+@partial(jax.jit, static_argnums=(0, 2), compiler_options=NOT_OPTIMISED)
+def preset(kind: str, biped: Any, n_steps: int) -> Any:
+    """A preset gait; compiled, it is not asked whether it can be walked, which takes seconds."""
+    return GAITS[kind].preset(biped, n_steps)
 
 
 def scalars_of(params: Any) -> dict[str, float]:
@@ -490,24 +508,24 @@ def with_scalars(params: Any, x: Numbers) -> Any:
 def test_gaits(x64, kind):
     """Every number of a gait moves a target at some time, and none a time before it matters."""
     biped = robot.load("surena3")
-    preset = GAITS[kind].preset(biped, 3)
-    timing, duration = preset.timing, float(preset.duration)
+    nominal = preset(kind, biped, 4)
+    timing, duration = nominal.timing, float(nominal.duration)
     half = 0.5 * np.asarray(timing.T_c - timing.T_s)
-    marks = [float(timing.liftoff(k) + s * timing.T_s) for k in range(3) for s in (0.0, 0.5, 1.0)]
-    marks += [float(timing.touchdown(k) + half) for k in range(-1, 3)]
-    time = np.linspace(0.05, duration - 0.05, 80)
+    marks = [float(timing.liftoff(k) + s * timing.T_s) for k in range(4) for s in (0.0, 0.5, 1.0)]
+    marks += [float(timing.touchdown(k) + half) for k in range(-1, 4)]
+    time = np.linspace(0.05, duration - 0.05, 60)
     time = time[np.abs(time[:, None] - np.array(marks)).min(axis=1) > 2e-3]
 
     def targets(x: Numbers) -> Numbers:
-        gait = GAITS[kind].make(biped, with_scalars(preset.params, x), 3)
+        gait = GAITS[kind].make(biped, with_scalars(nominal.params, x), 4)
         at = jax.vmap(lambda t: planner.at(gait, t))(jnp.asarray(time))
         orders = {"position": at.position, "velocity": at.velocity, "acceleration": at.acceleration}
         return {k: jnp.concatenate([v.sole, v.pelvis[:, None]], axis=1) for k, v in orders.items()}
 
-    numbers = scalars_of(preset.params)
+    numbers = scalars_of(nominal.params)
     sizes = {name: max(abs(value), 0.05) for name, value in numbers.items()}
     at = {name: np.array([value]) for name, value in numbers.items()}
-    _, found = slopes(targets, at, sizes)
+    _, found = slopes(targets, at, sizes, reverse=False)
     assert_equal(found)
     for name, one in found.items():
         moved = np.abs(one.forward["position"][0]).max(axis=(1, 2))
@@ -520,15 +538,15 @@ def test_gaits(x64, kind):
 
 WEIGHT, LOAD = 785.0, 80.0
 TICK = 0.01
-TABLE = (
-    "left_left_swings",
-    "right_left_swings",
-    "left_right_swings",
-    "right_right_swings",
-    "left_both",
-    "right_both",
-)
-"""Entries of x_reflex: which foot, in which phase."""
+TABLE = {
+    "left, left swings": -0.01,
+    "right, left swings": 0.012,
+    "left, right swings": 0.009,
+    "right, right swings": -0.01,
+    "left, both stand": 0.008,
+    "right, both stand": -0.006,
+}
+"""Entries of x_reflex [m]. The modified arm's 0 while both feet stand is a kink: a step is as long as it is missing."""
 SPANS = {
     "threshold": 40.0,
     "force_time_constant": 0.1,
@@ -586,9 +604,9 @@ def undisturbed(*machines: np.ndarray) -> np.ndarray:
     ],
 )
 def test_payload_stage(x64, arm, kind, name):
-    """A load felt while the left foot swings, while the right one does, and while both stand; until the walk goes on."""
+    """A load felt while the left foot swings, while the right one does, while both stand; until the walk goes on."""
     biped = robot.load(name)
-    gait = GAITS[kind].preset(biped, 3)
+    gait = preset(kind, biped, 3)
     given = {"threshold": 40.0, "zmp_balanced": -0.03, "settling_time": 1.0}
     base = getattr(PayloadReflex, arm)(
         biped, gait, **given, **({"x_stand": 0.02} if arm == "repaired" else {})
@@ -619,10 +637,10 @@ def test_payload_stage(x64, arm, kind, name):
         return {"commanded": commanded, "filters": filters, "marks": marks, "trigger": trigger}
 
     at = {n: np.full(3, float(getattr(base, n))) for n in own} | {"load_time": np.array(loads)}
-    at |= {entry: np.full(3, float(base.x_reflex.reshape(-1)[i])) for i, entry in enumerate(TABLE)}
+    at |= {entry: np.full(3, offset) for entry, offset in TABLE.items()}
     sizes = {n: SPANS[n] for n in own} | {"load_time": 0.1} | dict.fromkeys(TABLE, 0.01)
     value, found = slopes(machine, at, sizes, reverse=False)
-    mode, support, _, _, reflexes = marks = np.moveaxis(value["marks"], -1, 0)
+    mode, *_, reflexes = marks = np.moveaxis(value["marks"], -1, 0)
     begun = reflexes > 0
     calm = undisturbed(*marks)
     for i in range(3):
@@ -633,30 +651,33 @@ def test_payload_stage(x64, arm, kind, name):
         assert row == i, "a load is felt in another phase than meant"
     assert_equal(found, keep=calm)
 
-    in_body = {
-        n: one.forward["commanded"][:, :, :2] - one.forward["commanded"][:, :, 2:] for n, one in found.items()
-    }
-    for n, rate in in_body.items():
+    in_body = {}
+    for n, one in found.items():
+        commanded = one.forward["commanded"]
+        in_body[n] = rate = commanded[:, :, :2] - commanded[:, :, 2:]
         np.testing.assert_array_equal(rate[~begun], 0.0, err_msg=n)
-    for i in range(3):
-        for j, entry in enumerate(TABLE):
-            rate = in_body[entry][i]
-            if j // 2 != i:
-                np.testing.assert_array_equal(rate, 0.0, err_msg=entry)
-                continue
-            standing = np.flatnonzero(mode[i] == SETTLE)[-1]
-            np.testing.assert_allclose(rate[standing, j % 2, 0], 1.0, rtol=1e-12)
-            np.testing.assert_array_equal(rate[standing, 1 - j % 2], 0.0)
-        for n in own:
-            assert np.abs(in_body[n][i]).max() > 1e-5 / sizes[n], (n, np.abs(in_body[n][i]).max())
+    standing = [np.flatnonzero(one == SETTLE)[-1] for one in mode]
+    for i, j in itertools.product(range(3), range(6)):
+        rate = in_body[list(TABLE)[j]][i]
+        if j // 2 == i:
+            np.testing.assert_allclose(rate[standing[i], j % 2, 0], 1.0, rtol=1e-12)
+            np.testing.assert_array_equal(rate[standing[i], 1 - j % 2], 0.0)
+        else:
+            np.testing.assert_array_equal(rate, 0.0)
+    for n in own:
+        most = np.abs(in_body[n]).max(axis=(1, 2, 3)) * sizes[n]
+        if n == "body_time":  # of a smooth reflex whose body is not there sooner
+            assert np.any(most > 1e-3) == base.smooth_reflex
+        else:
+            assert np.all(most > 1e-3), (n, most)
     shifted = begun & ((mode > SHIFT) | (mode == WALK))
-    gain, error = float(base.x_ref_gain), value["filters"][..., 2]
-    by_gain = in_body["x_ref_gain"][..., 0][shifted]
-    np.testing.assert_allclose(in_body["zmp_balanced"][..., 0][shifted], -gain, rtol=1e-12)
-    assert np.all((by_gain > 0.01) & (by_gain < error.max() + 0.03))
-    for n in ("zmp_balanced", "x_ref_gain"):
-        np.testing.assert_array_equal(in_body[n][mode < SHIFT][begun[mode < SHIFT] & False], 0.0)
-        np.testing.assert_array_equal(in_body[n][(mode < SHIFT) & ~shifted], 0.0)
+    for i in range(3):
+        by_zmp, by_gain = (in_body[n][i, :, :, 0] for n in ("zmp_balanced", "x_ref_gain"))
+        error = value["filters"][i, standing[i], 2] - base.zmp_balanced
+        np.testing.assert_allclose(by_zmp[shifted[i]], -base.x_ref_gain, rtol=1e-12)
+        np.testing.assert_allclose(by_gain[shifted[i]], error, rtol=0.02)
+        for rate in (by_zmp, by_gain):
+            np.testing.assert_array_equal(rate[: standing[i] + 1], 0.0)
     np.testing.assert_allclose(found["load_time"].forward["trigger"][begun], 1.0, rtol=2e-2)
     assert np.all(found["threshold"].forward["trigger"][begun] > 1e-4)
     for column, n in ((0, "force_time_constant"), (2, "zmp_time_constant")):
@@ -668,17 +689,18 @@ def test_payload_stage(x64, arm, kind, name):
 # ---------------------------------------------------------------- the landing stage
 
 DT = 0.004
-HEIGHTS = (0.03, -0.03)
+HEIGHTS = (0.031, -0.031)
 """Of the ground under step 1: an obstacle, on which the foot lands early, and a hole, into which it lands late [m]."""
 LANDINGS = {
     "delta_z": 0.01,
-    "T_mod": 0.1,
+    "T_mod": 0.05,
     "delta_x_scale": 1.0,
     "descent_speed": 0.2,
     "descent_acceleration": 3.0,
     "max_descent": 0.08,
     "release_share": 0.9,
 }
+"""Parameters of the landing; T_mod is shorter than the T* of both, which otherwise stands in its place."""
 
 
 @pytest.mark.parametrize("arm", ["paper", "repaired"])
@@ -689,7 +711,7 @@ def test_landing_stage(x64, arm):
     and that instant moves with whatever the command does.
     """
     biped = robot.load("surena3")
-    gait = planner.PolynomialGait.preset(biped, 4)
+    gait = preset("polynomial", biped, 4)
     base = getattr(Landing, arm)(T_mod=jnp.asarray(LANDINGS["T_mod"]))
     faults, timing = Scenario.flat(1).sensors, gait.timing
     ticks = int(float(timing.liftoff(3)) / DT)
@@ -711,7 +733,7 @@ def test_landing_stage(x64, arm):
             switches = sensors.read_switches(old, gap, time, DT, faults)
             state, targets = stage.step(state, nominal, reading(time, switches=switches))
             orders = (targets.position, targets.velocity, targets.acceleration)
-            marks = jnp.stack([step, nominal.phase.support, state.touched, state.late])
+            marks = jnp.stack([step, nominal.phase.support, state.touched, state.late, state.missed])
             row = (bodies(targets), marks.astype(float), state.touch_tau, state.T_mod)
             return (state, tuple(order.sole[:, 2] for order in orders), switches), row
 
@@ -723,20 +745,39 @@ def test_landing_stage(x64, arm):
     at = {name: np.full(2, value) for name, value in LANDINGS.items()} | {"ground": np.array(HEIGHTS)}
     sizes = {**LANDINGS, "ground": 0.03}
     value, found = slopes(machine, at, sizes, reverse=False)
-    step, support, touched, late = marks = np.moveaxis(value["marks"], -1, 0)
+    step, _, touched, late, missed = marks = np.moveaxis(value["marks"], -1, 0)
     assert_equal(found, keep=undisturbed(*marks))
 
-    end = [np.flatnonzero(step[i] == 1)[-1] for i in (0, 1)]
-    assert [late[i, end[i]] for i in (0, 1)] == [0, 1] and all(touched[i, end[i]] for i in (0, 1))
-    first = np.argmax(touched[0])
+    end = [np.flatnonzero(one == 1)[-1] for one in step]
+    assert [late[i, end[i]] for i in (0, 1)] == [0, 1] and np.all(missed == 0)
     foot = int((gait.first_swing + 1) % 2)
-    for name, one in found.items():
-        rate = one.forward["commanded"]
-        np.testing.assert_array_equal(rate[:, :first], 0.0, err_msg=name)
-        for i, what in enumerate(("obstacle", "hole")):
-            own, out = rate[i][(step[i] == 1) & (touched[i] > 0)], rate[i][step[i] == 2]
-            most = {"touched": np.abs(own[:, foot]).max(), "released": np.abs(out).max()}
-            print(arm, what, name, most)
+    by = {name: one.forward["commanded"] for name, one in found.items()}
+    for name, rate in by.items():
+        np.testing.assert_array_equal(rate[:, : np.argmax(touched[0])], 0.0, err_msg=name)
+    touchdown = timing.touchdown(1)
+    last_way = gait.task(touchdown).sole[foot, 0] - gait.task(touchdown - LANDINGS["T_mod"]).sole[foot, 0]
+    for i, is_late in enumerate((False, True)):
+        own, out = (step[i] == 1) & (touched[i] > 0), step[i] == 2
+
+        def most(name: str, ticks: np.ndarray, body: Any = slice(None), i: int = i) -> float:
+            return np.abs(by[name][i, ticks, body]).max() * LANDINGS[name]
+
+        # But for what is left, at the touch, of the stance foot's own set-down: it is carried along.
+        np.testing.assert_allclose(
+            by["delta_z"][i, end[i], foot, 2], -1.0, rtol=0.05 if base.stays_down else 1e-9
+        )
+        np.testing.assert_allclose(found["T_mod"].forward["T_mod"][i, own], 1.0, rtol=1e-12)
+        assert most("T_mod", own, foot) > 1e-3
+        wanted = 0.0 if is_late else last_way
+        np.testing.assert_allclose(by["delta_x_scale"][i, end[i], foot, 0], wanted, rtol=1e-9)
+        assert most("release_share", out) > 1e-2
+        assert (most("descent_speed", own, foot) > 1e-2) == is_late
+        assert (most("descent_acceleration", own, foot) > 1e-3) == (is_late and arm == "repaired")
+        stands = by["ground"][i, end[i], foot, 2]
+        np.testing.assert_allclose(stands, 1.0 if base.interpolate else 0.0, rtol=0.02)
+        if not is_late:
+            for name in ("descent_speed", "descent_acceleration", "max_descent"):
+                np.testing.assert_array_equal(by[name][i], 0.0)
 
 
 # ---------------------------------------------------------------- losses
@@ -746,7 +787,7 @@ def test_rates_of_the_loss(x64):
     """By tilt, foot forces and corner forces; nothing once the walk has failed."""
     biped = robot.load("surena3")
     weight = float(biped.total_mass) * GRAVITY
-    targets = planner.at(planner.PolynomialGait.preset(biped, 2), 1.0)
+    targets = planner.at(preset("polynomial", biped, 4), 1.0)
 
     def rate(x: Numbers) -> Numbers:
         angles = jnp.concatenate([x["tilt"], jnp.zeros(1)])
@@ -773,7 +814,7 @@ def test_rates_of_the_loss(x64):
     at = {
         "tilt": tilts * rng.uniform(-1.0, 1.0, (n, 2)),
         "force": weight * uniform(rng, n, 0.5, 3.0, 2),
-        "corners": 0.25 * weight * uniform(rng, n, 0.05, 1.0, 2, 4),
+        "corners": 0.5 * weight * uniform(rng, n, 0.05, 1.0, 2, 4) ** 4,
         "upright": np.where(np.arange(n) < 30, 1.0, 0.0),
     }
     value, found = slopes(rate, at, {"tilt": 0.1, "force": weight, "corners": 0.2 * weight})
