@@ -20,7 +20,7 @@ demo: $(STAMP)  ## Plan, simulate and draw both robots' walks; results in runs/d
 	$(BIN)/jaxbiped demo --out runs/demo
 
 test: $(STAMP)  ## Run the test suite (without the tests marked slow or gpu)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0
+	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0
 
 check: $(STAMP)  ## Lint, check the format, check the types
 	$(BIN)/ruff check .

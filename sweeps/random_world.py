@@ -65,7 +65,9 @@ def main() -> None:
     parser.add_argument("--robot", choices=list(STEPS), default="surena3")
     parser.add_argument("--n", type=int, default=2048, help="scenarios; each is walked with two arms")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--duration", type=float, default=18.0, help="of every walk [s]")
+    parser.add_argument(
+        "--duration", type=float, help="of every walk [s]; default: as long as the longest recovery needs"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/random_world"))
     parser.add_argument("--workers", type=int)
     parser.add_argument("--overwrite", action="store_true")
@@ -76,6 +78,7 @@ def main() -> None:
     took = time.perf_counter() - began
     with pl.Config(tbl_rows=-1, tbl_cols=-1, tbl_width_chars=140):
         print(summary.cells(table))
+        print(table.group_by("arm", "status").len().sort("arm", "status"))
         print(summary.causes(table).group_by("arm", maintain_order=True).head(6))
     page.write_page(
         arguments.out / "report.html", f"{arguments.robot} in a random world", overview.sections(one, table)

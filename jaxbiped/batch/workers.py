@@ -25,6 +25,7 @@ from jaxbiped.batch.part import walk_chunk
 from jaxbiped.batch.store import code
 
 ONE_THREAD = {
+    "NPROC": "1",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     " --xla_cpu_parallel_codegen_split_count=1",
     "OMP_NUM_THREADS": "1",
@@ -34,8 +35,8 @@ ONE_THREAD = {
     "MALLOC_ARENA_MAX": "1",
     "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
 }
-"""Environment of a process that is to use one core, and less memory to compile; XLA reads its flags when it is first
-used."""
+"""Environment of a process that is to use one core (XLA makes as many threads as NPROC says), and less memory to
+compile; XLA reads it when it is first used."""
 ROOM_MIB = 1200.0
 """Of memory, over which a worker forgets what it has compiled for another kind of arm before it compiles again."""
 DEATHS = 10
