@@ -111,6 +111,14 @@ def apply(
     robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
 ) -> Controller:
     """The controller with other values, planned anew; pure, to be differentiated."""
+    gait, stages = with_values(robot, controller, tunables, new)
+    return Controller(gait, **stages)
+
+
+def with_values(
+    robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
+) -> tuple[Any, dict[str, Any]]:
+    """What `apply` plans with: the gait, and the parameters of both stages by name."""
     gait, stages = controller.gait, {}
     own = [(t, new[i]) for i, t in enumerate(tunables) if t.stage == "gait"]
     if own:
@@ -128,7 +136,7 @@ def apply(
                 lambda p, name=t.field: getattr(p, name), params, value, is_leaf=lambda x: x is None
             )
         stages[stage] = params
-    return Controller(gait, **stages)
+    return gait, stages
 
 
 def as_tables(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,6 @@ import jax
 import numpy as np
 from tyro.conf import arg
 
-import jaxbiped
 from jaxbiped import adapt, batch, tune
 from jaxbiped.adapt import tunables
 from jaxbiped.batch import Choice, Uniform
@@ -182,7 +182,7 @@ def arm_file(tuned: tune.Tuned, base: dict[str, str], command: Tune) -> str:
         lines += [f"{name} = {value}" for name, value in tables.get(stage, {}).items()]
         lines.append("")
     origin = {
-        "jaxbiped": jaxbiped.__version__,
+        "jaxbiped": metadata.version("jaxbiped"),
         "robot": problem.experiment.robot.name,
         "gait": type(problem.controller.gait).__name__,
         "scenarios": problem.experiment.table.height,

@@ -17,7 +17,9 @@ from jaxbiped.planner import PolynomialGait
 def made():
     biped = robot.load("surena3")
     gait = PolynomialGait.preset(biped, 4)
-    return biped, Controller(gait, Landing.repaired(), PayloadReflex.modified(biped, gait, threshold=60.0))
+    return biped, Controller(
+        gait, Landing.repaired(), PayloadReflex.modified(biped, gait, threshold=60.0, zmp_balanced=-0.035)
+    )
 
 
 def moved(found, at):
@@ -61,8 +63,8 @@ def test_one_place_of_a_table_is_one_tunable(made):
     for t in tunables.find(
         [name for name in TUNABLES if ".x_left" in name or ".x_right" in name], controller
     ):
-        other: Any = tunables.apply(biped, controller, [t], jnp.array([0.037]))
-        changed = np.asarray(other.payload.params.x_reflex) != np.asarray(controller.payload.params.x_reflex)
+        _, stages = tunables.with_values(biped, controller, [t], jnp.array([0.037]))
+        changed = np.asarray(stages["payload"].x_reflex) != np.asarray(controller.payload.params.x_reflex)
         assert changed.sum() == 1 and changed[t.index]
 
 
