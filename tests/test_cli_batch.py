@@ -10,6 +10,7 @@ from jaxbiped import adapt, batch, cli
 from jaxbiped.commands import demo, obstacles, payload, replay
 from jaxbiped.commands.choices import load_arm
 from jaxbiped.commands.common import InputError, load_robot
+from jaxbiped.report import movie
 
 
 def said(capsys):
@@ -66,8 +67,9 @@ def test_payload_into_the_folder_of_another_experiment_is_refused(loads, capsys)
     assert "--out" in line and "another experiment" in line
 
 
-def test_replay_agrees_with_the_table_and_draws(loads, capsys, tmp_path):
+def test_replay_agrees_with_the_table_and_draws(loads, capsys, tmp_path, monkeypatch):
     command, _ = loads
+    monkeypatch.setattr(movie, "FRAMES_PER_SECOND", 2)
     args = ["replay", str(command.out), "3", "--out", str(tmp_path), "--video", "--json"]
     assert cli.main(args) == cli.OK
     out, result = said(capsys)
@@ -197,7 +199,7 @@ BAD_ARMS = {
     "[payload]\nbase = 'modified'\nsettling_time = -1.0\n": "settling_time",
     "[payload]\nbase = 'modified'\nspeed = 1.0\n": "speed",
     "[landing]\nbase = 'paper'\ndescent_speed = 'x'\n": "tuned.toml",
-    "[walk]\nbase = 'paper'\n": "[landing] or [payload]",
+    "[walk]\nbase = 'paper'\n": "[landing], [payload] or [gait]",
     "base = ": "tuned.toml",
 }
 

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbiped.adapt.blends import longest_time_to_rest, quintic_to_rest, smooth
 from jaxbiped.adapt.sensed import Sensed
 from jaxbiped.planner import PLANNED_STEP, REFLEX_STEP, Gait, Phase, Targets, TaskSpace, is_concrete
-from jaxbiped.planner.polynomial import as_scalar
+from jaxbiped.planner.polynomial import as_scalar, as_scalar_or_none
 
 Scalar = Float[Array, ""]
 _BISECTIONS = 40
@@ -36,7 +36,7 @@ class Landing(eqx.Module):
 
     delta_z: Scalar = eqx.field(converter=as_scalar, default=0.01)
     """Height of the sole over the ground when a switch closes, as the controller believes [m]."""
-    T_mod: Scalar | None = None
+    T_mod: Scalar | None = eqx.field(converter=as_scalar_or_none, default=None)
     """Time to set the foot down after a touch [s]; None for the time the plan needs from delta_z to the ground."""
     delta_x_scale: Scalar = eqx.field(converter=as_scalar, default=1.0)
     """Factor on delta_x, the way the plan goes in its last T_mod."""
@@ -155,7 +155,7 @@ class LandingStage(eqx.Module):
     @classmethod
     def plan(cls, params: Landing, gait: Gait) -> "LandingStage":
         """Read T_mod and delta_x off the plan."""
-        T_mod = nominal_T_mod(gait, params.delta_z) if params.T_mod is None else as_scalar(params.T_mod)
+        T_mod = nominal_T_mod(gait, params.delta_z) if params.T_mod is None else params.T_mod
         steps = jnp.arange(gait.timing.n_steps)
         delta_x = jax.vmap(lambda step: _last_way(gait, step, T_mod))(steps)
         return cls(params, T_mod, delta_x, gait.phase(jnp.zeros_like(T_mod)))

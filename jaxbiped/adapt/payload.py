@@ -43,7 +43,7 @@ from jaxbiped.planner import (
     feasibility,
     is_concrete,
 )
-from jaxbiped.planner.polynomial import as_scalar
+from jaxbiped.planner.polynomial import as_scalar, as_scalar_or_none
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
@@ -84,10 +84,6 @@ def _table(value: Any) -> Any:
     return jnp.asarray(value, jnp.result_type(float))
 
 
-def _scalar_or_none(value: Any) -> Any:
-    return None if value is None else as_scalar(value)
-
-
 class PayloadReflex(eqx.Module):
     """Parameters of the payload stage."""
 
@@ -108,7 +104,7 @@ class PayloadReflex(eqx.Module):
     """Of the low-pass of the summed foot force, Eq. 3.7 [s]."""
     zmp_time_constant: Scalar = eqx.field(converter=as_scalar, default=ZMP_TIME_CONSTANT)
     """Of the low-pass of the ZMP, Eq. 3.18 [s]."""
-    x_stand: Scalar | None = eqx.field(converter=_scalar_or_none, default=None)
+    x_stand: Scalar | None = eqx.field(converter=as_scalar_or_none, default=None)
     """Sole forward of the pelvis on which a steady recovery stands alone [m]; None: wherever it is."""
     reflex_time: Scalar = eqx.field(converter=as_scalar, default=0.1)
     """t_refl_per [s]."""

@@ -7,7 +7,7 @@ conditioned in float32.
 
 from collections.abc import Sequence
 from math import factorial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,6 +20,11 @@ Scalar = Float[Array, ""] | float
 def as_scalar(value: Scalar) -> Float[Array, ""]:
     """A number as an array of JAX's default float type; the converter of parameter fields."""
     return jnp.asarray(value, jnp.result_type(float))
+
+
+def as_scalar_or_none(value: Any) -> Any:
+    """The same, but for None."""
+    return None if value is None else as_scalar(value)
 
 
 class Polynomial(eqx.Module):

@@ -81,6 +81,7 @@ def save(robot: RobotParams, trace: Sample, file: Path) -> Path:
             behind.invert_xaxis()  # seen from behind, left is left
             side.set(ylabel="z [m]", title=f"{robot.name}, {now:.2f} s")
             writer.grab_frame()
+            figure.set_layout_engine("none")  # laid out once, for the first frame
     return file
 
 

@@ -657,6 +657,7 @@ def _trace(world: _World, pilot: _Pilot, log: _Log, ticks: np.ndarray) -> Sample
         "roll_pitch_yaw": _roll_pitch_yaw(log.xmat[rows, TRUNK]),
         "p_world_sole": log.site[rows][:, _SOLE_SITES],
         "foot_force": force.reshape(-1, 2, 4, 3).sum(axis=2),
+        "corner_force": force[..., 2].reshape(-1, 2, 4),
         "zmp_world": _zmps(log, rows),
         "switch": (gap <= np.asarray(faults.delta_z)) & (np.asarray(faults.stuck_open) < 0.5),
         "torque": log.torque[ticks].reshape(-1, 2, 6),

@@ -23,12 +23,14 @@ def test_the_example_of_the_docs_is_right(x64, capsys):
     exec(example(), names)
     found, loss = names["found"], names["Gentle"]()
     assert "T_mod" in capsys.readouterr().out
-    assert np.all(found.status == 0) and np.all(found.by_scenario != 0.0)
+    assert np.all(found.status == 0)
+    # exactly zero by T_mod over the pads: there T*, the longest time that does not undershoot, is shorter
+    assert np.all(np.any(found.by_scenario != 0.0, axis=0))
     problem = Problem.of(names["experiment"], list(found.tunables), loss)
     twin = central(problem, found.at, np.arange(4))
     assert found.by_scenario.dtype == np.float64
     np.testing.assert_allclose(twin.losses, found.losses, rtol=1e-9)
-    np.testing.assert_allclose(twin.by_scenario, found.by_scenario, rtol=1e-3)
+    np.testing.assert_allclose(twin.by_scenario, found.by_scenario, rtol=1e-3, atol=1e-7)
 
 
 @pytest.mark.parametrize(
