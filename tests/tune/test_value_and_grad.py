@@ -1,8 +1,10 @@
 """The example of docs/tune.md runs, and its gradient is that of central differences."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,20 +19,35 @@ def example() -> str:
     return DOCS.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
 
 
-def test_the_example_of_the_docs_is_right(x64, capsys):
-    """A loss of one's own, one tunable of the landing and one of the gait, walks of 4 s over a first step on a pad."""
+@pytest.fixture(scope="module")
+def example_in_float64() -> Iterator[dict[str, Any]]:
+    """A loss of one's own, walks of 4 s over a pad or into a hole under the first step."""
     names: dict[str, Any] = {}
-    exec(example(), names)
-    found, loss = names["found"], names["Gentle"]()
-    assert "T_mod" in capsys.readouterr().out
-    assert np.all(found.status == 0)
-    # exactly zero by T_mod over the pads: there T*, the longest time that does not undershoot, is shorter
-    assert np.all(np.any(found.by_scenario != 0.0, axis=0))
-    problem = Problem.of(names["experiment"], list(found.tunables), loss)
-    twin = central(problem, found.at, np.arange(4))
-    assert found.by_scenario.dtype == np.float64
+    with jax.enable_x64(True):
+        exec(example(), names)
+    yield names
+
+
+def test_the_example_of_the_docs_runs(example_in_float64):
+    found, height = example_in_float64["found"], example_in_float64["scenarios"]["step_0_height_m"].to_numpy()
+    assert found.by_scenario.dtype == np.float64 and np.all(found.status == 0) and found.value > 0.0
+    T_mod, descent_speed = found.by_scenario.T
+    # into a hole the foot descends; over a pad it is set down in T_mod
+    assert np.all(T_mod[height > 0.0] != 0.0)
+    np.testing.assert_array_equal(descent_speed[height > 0.0], 0.0)
+    assert np.all(descent_speed[height < 0.0] != 0.0)
+
+
+@pytest.mark.slow
+def test_the_gradient_of_the_example_is_that_of_central_differences(example_in_float64):
+    found = example_in_float64["found"]
+    with jax.enable_x64(True):
+        problem = Problem.of(
+            example_in_float64["experiment"], list(found.tunables), example_in_float64["Gentle"]()
+        )
+        twin = central(problem, found.at, np.arange(4))
     np.testing.assert_allclose(twin.losses, found.losses, rtol=1e-9)
-    np.testing.assert_allclose(twin.by_scenario, found.by_scenario, rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(twin.by_scenario, found.by_scenario, rtol=1e-2, atol=1e-7)
 
 
 @pytest.mark.parametrize(
