@@ -231,6 +231,8 @@ def survive(
     command = run_child(folder, count, address)
     try:
         while struck < KILLS or command.running or not (folder / store.TABLE).exists():
+            if cluster is not None:
+                cluster.heal()  # workers may end long after their scheduler did
             if not command.running:
                 command = again(command, dice, folder, struck < KILLS, count, address)
             if struck == KILLS:
