@@ -3,7 +3,8 @@
 A name is `landing.T_mod`, `payload.settling_time` or `gait.D_s`. Defaults are those of the arm that is tuned.
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,11 +89,12 @@ def find(names: Sequence[str], controller: Controller) -> list[Tunable]:
         ValueError: naming what was got and what is allowed.
     """
     allowed = [name for name, t in TUNABLES.items() if getattr(controller, t.stage) is not None]
-    allowed += [f"gait.{field}" for field in _gait_fields(controller)]
+    allowed += [f"gait.{field}" for field in gait_fields(controller.gait)]
     found: list[Tunable] = []
     for name in names:
-        if f"{name}." in {f"{a.split('.')[0]}." for a in allowed if not a.startswith("gait.")}:
-            found += [t for n, t in TUNABLES.items() if n.startswith(f"{name}.")]
+        of_stage = [TUNABLES[a] for a in allowed if a in TUNABLES and TUNABLES[a].stage == name]
+        if of_stage:
+            found += of_stage
         elif name in allowed:
             found.append(TUNABLES[name] if name in TUNABLES else _of_gait(name, controller))
         else:
@@ -119,13 +121,8 @@ def with_values(
     robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
 ) -> tuple[Any, dict[str, Any]]:
     """What `apply` plans with: the gait, and the parameters of both stages by name."""
-    gait, stages = controller.gait, {}
-    own = [(t, new[i]) for i, t in enumerate(tunables) if t.stage == "gait"]
-    if own:
-        params: Any = gait.params
-        for t, value in own:
-            params = eqx.tree_at(lambda p, name=t.field: getattr(p, name), params, value)
-        gait = type(gait).make(robot, params, gait.n_steps, gait.first_swing)
+    own = {t.field: new[i] for i, t in enumerate(tunables) if t.stage == "gait"}
+    gait, stages = other_gait(robot, controller.gait, own), {}
     for stage in ("landing", "payload"):
         planned = getattr(controller, stage)
         params = None if planned is None else planned.params
@@ -171,13 +168,21 @@ def _parameter(controller: Controller, t: Tunable) -> Array:
     return jnp.asarray(getattr(stage.params, t.field))
 
 
-def _gait_fields(controller: Controller) -> list[str]:
-    """Names of the gait's parameters that are one number."""
-    return [
-        name
-        for name, value in vars(controller.gait.params).items()
-        if eqx.is_array(value) and value.ndim == 0
-    ]
+def gait_fields(gait: Any) -> list[str]:
+    """Names of a gait's parameters that are one number."""
+    return [name for name, value in vars(gait.params).items() if eqx.is_array(value) and value.ndim == 0]
+
+
+def other_gait(robot: RobotParams, gait: Any, new: Mapping[str, Any]) -> Any:
+    """The gait with other values of some of its parameters, planned anew.
+
+    Raises:
+        GaitError: if it cannot be walked (only where the values are known).
+    """
+    if not new:
+        return gait
+    params = dataclasses.replace(gait.params, **new)
+    return type(gait).make(robot, params, gait.n_steps, gait.first_swing)
 
 
 def _of_gait(name: str, controller: Controller) -> Tunable:

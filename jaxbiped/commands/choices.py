@@ -1,14 +1,12 @@
 """What names on the command line stand for: gaits, simulations, arms of adaptation."""
 
-import dataclasses
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxbiped import adapt, planner, robot, sim
+from jaxbiped.adapt import tunables
 from jaxbiped.commands.common import InputError
 
 GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
@@ -105,12 +103,9 @@ def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) ->
 
 
 def _other_gait(table: Any, params: robot.RobotParams, gait: Any) -> Any:
-    """The gait with other values of some of its parameters."""
-    if not table:
-        return gait
-    numbers = {name: value for name, value in vars(gait.params).items() if np.ndim(value) == 0}
+    """The gait with the values of a table [gait]."""
+    allowed = tunables.gait_fields(gait)
     for name, value in dict(table).items():
-        if name not in numbers or not isinstance(value, int | float):
-            raise ValueError(f"[gait]: got {name} = {value!r}, allowed: numbers for {', '.join(numbers)}")
-    new = dataclasses.replace(gait.params, **{name: float(value) for name, value in table.items()})
-    return type(gait).make(params, new, gait.n_steps, gait.first_swing)
+        if name not in allowed or not isinstance(value, int | float):
+            raise ValueError(f"[gait]: got {name} = {value!r}, allowed: numbers for {', '.join(allowed)}")
+    return tunables.other_gait(params, gait, {name: float(value) for name, value in table.items()})

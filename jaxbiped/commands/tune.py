@@ -132,7 +132,7 @@ def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: in
 
 def _trust(command: Tune, problem: tune.Problem) -> dict[str, Any]:
     rows = np.arange(problem.experiment.table.height)
-    report = tune.trust_report(problem, problem.start, rows, seed=command.seed)
+    report = tune.trust_report(problem, problem.start, rows, seed=command.seed, timed=True)
     print("\n".join(report.lines()))
     return {k: _plain(v) for k, v in report.record().items()}
 

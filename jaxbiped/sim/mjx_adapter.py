@@ -140,21 +140,22 @@ def _motion_jvp(primals: Any, tangents: Any) -> tuple[BodyMotion, BodyMotion]:
     body = _motion(model, qpos, qvel)
     d_qpos, d_qvel = (_instantiate(t, p) for t, p in zip(tangents[1:], primals[1:], strict=True))
     d_body = _moved(model, body, qvel, _as_velocity(qpos, d_qpos), d_qvel)
-    if all(
-        isinstance(t, _ZERO) for t in jax.tree.leaves(tangents[0], is_leaf=lambda t: isinstance(t, _ZERO))
-    ):
+    known = jax.tree.leaves(tangents[0], is_leaf=_is_zero)
+    if all(_is_zero(tangent) for tangent in known):
         return body, d_body
-    d_model = jax.tree.map(_instantiate, tangents[0], model, is_leaf=lambda t: isinstance(t, _ZERO))
+    d_model = jax.tree.map(_instantiate, tangents[0], model, is_leaf=_is_zero)
     _, by_model = jax.jvp(lambda m: _through_mjx(m, qpos, qvel), (model,), (d_model,))
     return body, jax.tree.map(jnp.add, d_body, by_model)
 
 
-_ZERO = jax.custom_derivatives.SymbolicZero
+def _is_zero(tangent: Any) -> bool:
+    """Whether JAX knows that a tangent is zero."""
+    return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
 
 
 def _instantiate(tangent: Any, primal: Any) -> Any:
-    """The tangent itself, or zeros where JAX knows that it is zero."""
-    if not isinstance(tangent, _ZERO):
+    """The tangent itself, or zeros in its place."""
+    if not _is_zero(tangent):
         return tangent
     if jnp.issubdtype(jnp.result_type(primal), jnp.floating):
         return jnp.zeros_like(primal)
@@ -177,7 +178,7 @@ def _moved(
 ) -> BodyMotion:
     """How everything changes with a small shift of the coordinates (as a qvel) and of qvel."""
     links = Links(body.dof_axes, body.link_inertia)
-    moved = spatial.displacement(links, shift)
+    moved = spatial.velocities(links.axes, shift)
     d_centre = spatial.centre_shift(links, moved)
     d_links = spatial.carried_along(links, moved, d_centre)
     feet = moved.leg[:, -1]

@@ -11,9 +11,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-FREE = 6
-"""Degrees of freedom of the trunk: three translations along world axes, three rotations about its own."""
-FREE_ROTATIONS = slice(3, 6)
+from jaxbiped.sim.model import FREE_DOFS
+
+ROTATIONS = slice(3, FREE_DOFS)
+"""Of the trunk's degrees of freedom: three translations along world axes, then three rotations about its own."""
 
 
 class Links(eqx.Module):
@@ -77,14 +78,9 @@ def _down(trunk: Float[Array, "6"], joints: Float[Array, "2 6 6"]) -> Along:
 
 
 def velocities(axes: Float[Array, "18 6"], speed: Float[Array, "18"]) -> Along:
-    """Twist of every link."""
+    """Twist of every link; of a small shift of the coordinates, how every link is displaced."""
     moving = axes * speed[:, None]
-    return _down(moving[:FREE].sum(axis=0), moving[FREE:].reshape(2, 6, 6))
-
-
-def displacement(links: Links, shift: Float[Array, "18"]) -> Along:
-    """How every link is displaced by a small shift of the coordinates, about the reference point held fixed."""
-    return velocities(links.axes, shift)
+    return _down(moving[:FREE_DOFS].sum(axis=0), moving[FREE_DOFS:].reshape(2, 6, 6))
 
 
 def centre_shift(links: Links, moved: Along) -> Float[Array, "3"]:
@@ -108,8 +104,8 @@ def turned(by: Float[Array, "*n 3"], rotation: Float[Array, "*n 3 3"]) -> Float[
 def carried_along(links: Links, moved: Along, d_centre: Float[Array, "3"]) -> Links:
     """Change of axes and inertias with the displacement of the links and of the reference point."""
     way = moved.all.at[:, 3:].add(-d_centre)
-    joints = cross_motion(way[1:], links.axes[FREE:])
-    rotations = cross_motion(jnp.broadcast_to(way[0], (3, 6)), links.axes[FREE_ROTATIONS])
+    joints = cross_motion(way[1:], links.axes[FREE_DOFS:])
+    rotations = cross_motion(jnp.broadcast_to(way[0], (3, 6)), links.axes[ROTATIONS])
     axes = jnp.concatenate([jnp.zeros_like(rotations), rotations, joints])
     return Links(axes, _inertia_shift(links.inertia, way))
 
@@ -139,13 +135,13 @@ def inverse_dynamics(
         gravity: [m/s2].
     """
     twist = velocities(links.axes, speed)
-    trunk_axes, leg_axes = links.axes[:FREE], links.axes[FREE:].reshape(2, 6, 6)
-    rates = cross_motion(jnp.broadcast_to(twist.trunk, (3, 6)), trunk_axes[FREE_ROTATIONS])
+    trunk_axes, leg_axes = links.axes[:FREE_DOFS], links.axes[FREE_DOFS:].reshape(2, 6, 6)
+    rates = cross_motion(jnp.broadcast_to(twist.trunk, (3, 6)), trunk_axes[ROTATIONS])
     falling = jnp.concatenate([jnp.zeros_like(gravity), -gravity])
-    trunk = jnp.sum(trunk_axes * acceleration[:FREE, None], axis=0)
-    trunk = trunk + jnp.sum(rates * speed[FREE_ROTATIONS, None], axis=0)
-    joints = leg_axes * acceleration[FREE:].reshape(2, 6, 1)
-    joints = joints + cross_motion(twist.leg, leg_axes) * speed[FREE:].reshape(2, 6, 1)
+    trunk = jnp.sum(trunk_axes * acceleration[:FREE_DOFS, None], axis=0)
+    trunk = trunk + jnp.sum(rates * speed[ROTATIONS, None], axis=0)
+    joints = leg_axes * acceleration[FREE_DOFS:].reshape(2, 6, 1)
+    joints = joints + cross_motion(twist.leg, leg_axes) * speed[FREE_DOFS:].reshape(2, 6, 1)
     accelerating, moving = _down(falling + trunk, joints).all, twist.all
     needed = times_inertia(links.inertia, accelerating)
     needed = needed + cross_force(moving, times_inertia(links.inertia, moving))

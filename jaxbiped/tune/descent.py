@@ -183,9 +183,9 @@ def _adam(state: Descent, slope: np.ndarray, rate: float) -> None:
 
 
 def held_out_score(judge: Problem, at: np.ndarray) -> dict[str, float]:
-    """Mean loss and share of successes of all scenarios of a problem."""
+    """Mean loss, of the walks that have one, and share of successes of all scenarios of a problem."""
     losses, success = gradient.outcomes(judge, at, np.arange(judge.experiment.table.height))
-    return {"held_out_loss": float(np.mean(losses)), "held_out_success": float(np.mean(success))}
+    return {"held_out_loss": float(np.nanmean(losses)), "held_out_success": float(np.mean(success))}
 
 
 def to_values(problem: Problem, z: np.ndarray) -> np.ndarray:

@@ -48,8 +48,8 @@ class Gradient:
 
     @property
     def value(self) -> float:
-        """Mean loss."""
-        return float(np.mean(self.losses))
+        """Mean loss of the walks that have one."""
+        return float(np.nanmean(self.losses))
 
     @property
     def gradient(self) -> np.ndarray:
@@ -75,7 +75,7 @@ class Problem:
     def of(
         cls,
         experiment: batch.Experiment,
-        names: Sequence[str | Tunable],
+        names: Sequence[str],
         loss: Loss | None = None,
         arm: str | None = None,
     ) -> "Problem":
@@ -87,13 +87,7 @@ class Problem:
         arm = next(iter(experiment.arms)) if arm is None else arm
         if arm not in experiment.arms:
             raise ValueError(f"arm: got '{arm}', allowed: {', '.join(experiment.arms)}")
-        found = [
-            t
-            for n in names
-            for t in ([n] if isinstance(n, Tunable) else tunables.find([n], experiment.arms[arm]))
-        ]
-        if len({t.name for t in found}) != len(found) or not found:
-            raise ValueError(f"tunables: got {[t.name for t in found]}, allowed: at least one, each once")
+        found = tunables.find(names, experiment.arms[arm])
         return cls(experiment, tuple(found), WalkLoss() if loss is None else loss, arm)
 
     @property
@@ -206,7 +200,7 @@ def _scattered(setting: _Setting, at: Array, scenarios: sim.Scenario) -> tuple[A
 
 def value_and_grad(
     experiment: batch.Experiment,
-    names: Sequence[str | Tunable],
+    names: Sequence[str],
     at: Any = None,
     loss: Loss | None = None,
     arm: str | None = None,

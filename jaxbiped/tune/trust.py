@@ -35,8 +35,8 @@ class Trust:
     """[s] (SAMPLES,)."""
     growth: np.ndarray
     """Norm of the tangents of trunk and soles then, per range of the tunables, mean over scenarios (SAMPLES,)."""
-    cost_per_tangent: float
-    """Of the gradient beyond the walk itself, as a share of a walk; nan if not measured."""
+    cost_per_tangent: float | None = None
+    """Of the gradient beyond the walk itself, as a share of a walk; None if not measured."""
 
     @property
     def width(self) -> np.ndarray:
@@ -139,7 +139,11 @@ class Trust:
             f"{100 * self.p90_rel:.2f} % (90th percentile) over {kept} of {n} walks that did not fall",
             f"norm of the tangents: {growth}",
             f"{100 * self.share_fallen:.0f} % of the walks fall, {100 * self.share_clipped:.0f} % are clipped",
-            f"a tangent costs {self.cost_per_tangent:.2f} walks",
+            *(
+                []
+                if self.cost_per_tangent is None
+                else [f"a tangent costs {self.cost_per_tangent:.2f} walks"]
+            ),
         ]
 
     def record(self) -> dict[str, Any]:
@@ -175,8 +179,9 @@ def report(
     sigma: float = 0.02,
     pairs: int = 4,
     seed: int = 0,
+    timed: bool = False,
 ) -> Trust:
-    """Forward mode and its twins at a point, and what a tangent costs.
+    """Forward mode and its twins at a point.
 
     Args:
         problem: whose loss.
@@ -186,6 +191,7 @@ def report(
         sigma: of the smoothing, as a share of each range.
         pairs: of the smoothing, for each scenario.
         seed: of the smoothing.
+        timed: also measure what a tangent costs, which takes four gradients more.
     """
     times, growth = tangent_growth(problem, at, rows[: gradient.LANES])
     return Trust(
@@ -195,7 +201,7 @@ def report(
         gradient.smoothed(problem, at, rows, sigma, pairs, seed),
         times,
         growth,
-        cost_per_tangent(problem, at, rows[: gradient.LANES]),
+        cost_per_tangent(problem, at, rows[: gradient.LANES]) if timed else None,
     )
 
 

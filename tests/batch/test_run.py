@@ -4,6 +4,8 @@ import errno
 import json
 import math
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -301,6 +303,38 @@ def test_every_worker_has_one_thread_and_a_gpu_of_its_own(monkeypatch):
     with workers._client(2, None) as client:
         client.wait_for_workers(2)
         seen = client.run(os.getenv, "CUDA_VISIBLE_DEVICES").values()
-        flags = client.run(os.getenv, "XLA_FLAGS").values()
+        threads = client.run(os.getenv, "NPROC").values()
     assert sorted(seen) == ["3", "5"]
-    assert all("intra_op_parallelism_threads=1" in flag for flag in flags)
+    assert set(threads) == {"1"}
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are counted in /proc")
+def test_a_process_of_one_thread_computes_with_one():
+    computes = """
+import jax.numpy as jnp
+from pathlib import Path
+(jnp.ones((64, 64)) @ jnp.ones((64, 64))).block_until_ready()
+names = [path.read_text() for path in Path("/proc/self/task").glob("*/comm")]
+print(sum("Eigen" in name for name in names))
+"""
+    own = {k: v for k, v in os.environ.items() if k not in workers.ONE_THREAD}
+    environment = {**own, **workers.ONE_THREAD, "JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-c", computes]
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "1"
+
+
+def test_a_worker_forgets_what_is_compiled_for_arms_of_another_kind(surena, monkeypatch):
+    one = experiment(surena)
+    monkeypatch.setattr(workers, "ROOM_MIB", 0.0)
+    monkeypatch.setattr(workers, "_kinds", set())
+    forgets = []
+    monkeypatch.setattr(jax, "clear_caches", lambda: forgets.append(True))
+    chunks = one.chunks
+    for arm, forgotten in (("off", 1), ("off", 1), ("repaired", 2), ("repaired", 2), ("off", 3)):
+        chunk = next(chunk for chunk in chunks if chunk.arm == arm)
+        workers._make_room(one, chunk)
+        assert len(forgets) == forgotten
+    monkeypatch.setattr(workers, "ROOM_MIB", 1e9)
+    workers._make_room(one, next(chunk for chunk in chunks if chunk.arm == "repaired"))
+    assert len(forgets) == 3

@@ -42,9 +42,8 @@ def test_the_example_of_the_docs_runs(example_in_float64):
 def test_the_gradient_of_the_example_is_that_of_central_differences(example_in_float64):
     found = example_in_float64["found"]
     with jax.enable_x64(True):
-        problem = Problem.of(
-            example_in_float64["experiment"], list(found.tunables), example_in_float64["Gentle"]()
-        )
+        names = [t.name for t in found.tunables]
+        problem = Problem.of(example_in_float64["experiment"], names, example_in_float64["Gentle"]())
         twin = central(problem, found.at, np.arange(4))
     np.testing.assert_allclose(twin.losses, found.losses, rtol=1e-9)
     np.testing.assert_allclose(twin.by_scenario, found.by_scenario, rtol=1e-2, atol=1e-7)
