@@ -41,9 +41,9 @@ def test_the_arm_that_is_written_is_read_again(tmp_path):
     assert held_out.table.height == 2 and held_out.resolved != problem.experiment.resolved
     values = 0.5 * (problem.start + np.array([t.low + t.high for t in problem.tunables]) / 2.0)
     score = {"loss": 1.0, "success": 0.5}
-    tuned = tune.Tuned(problem, values, score, score, Descent(best={"step": 3}))
+    tuned = tune.Tuned(problem, tune.Settings(), values, score, score, Descent(best={"step": 3}))
     path = tmp_path / "tuned.toml"
-    path.write_text(command_tune.arm_file(tuned, base, command))
+    path.write_text(tune.arm_file(tuned, base, "jaxbiped tune"))
     arm: Any = load_arm("--arm", path, problem.experiment.robot, problem.controller.gait)
     np.testing.assert_allclose(
         [*(getattr(arm.landing.params, t.field) for t in problem.tunables[:-1]), arm.gait.params.H_max],

@@ -1,6 +1,9 @@
 """What the robot's sensors give: all that a controller ever learns of the world."""
 
+from typing import Any
+
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 
@@ -29,3 +32,24 @@ class Sensed(eqx.Module):
     """Centre of the vertical ground forces [m]."""
     zmp_body: Float[Array, "2"]
     """The same seen from the pelvis, heading axes [m]."""
+
+    @classmethod
+    def nothing(cls, time: Float[Array, ""], **felt: Any) -> "Sensed":
+        """The clock only: switches open for ever, all else zero, but for what is given."""
+
+        def zeros(*shape: int) -> Array:
+            return jnp.zeros(shape, time.dtype)
+
+        blind = {
+            "switch": zeros(2, 4) > 0.0,
+            "switch_time": zeros(2, 4) + jnp.inf,
+            "corner_force": zeros(2, 4),
+            "ankle_wrench": zeros(2, 6),
+            "angle": zeros(2, 6),
+            "speed": zeros(2, 6),
+            "roll_pitch": zeros(2),
+            "rate": zeros(3),
+            "zmp_world": zeros(2),
+            "zmp_body": zeros(2),
+        }
+        return cls(time, **{**blind, **felt})

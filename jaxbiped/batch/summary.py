@@ -18,6 +18,8 @@ CONFIDENCE = 0.95
 """Of every interval here."""
 BINS = 8
 """Most parts an input is cut into to see whether it decides."""
+RESAMPLES = 10_000
+"""Of the bootstrap."""
 UP, DOWN = "up", "down"
 """Ways a limit is looked for."""
 NAMES = ("row", "arm", "scenario", "seed")
@@ -63,6 +65,25 @@ class Paired:
     """McNemar's exact test, two-sided: how likely so lopsided discordant scenarios are between arms that are alike."""
     unpaired: int
     """Scenarios left out because only one of the arms met them."""
+
+
+@dataclass(frozen=True)
+class PairedMeans:
+    """A quantity of two arms in the same scenarios, where both succeed."""
+
+    arm: str
+    against: str
+    what: str
+    n: int
+    """Scenarios in which both succeed."""
+    mean: float
+    """Of `arm`."""
+    mean_against: float
+    difference: float
+    """Mean of `arm` less that of `against`."""
+    low: float
+    high: float
+    """Ends of the 95 % interval of the difference: percentiles of RESAMPLES means of pairs drawn again."""
 
 
 def wilson(successes: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -154,6 +175,32 @@ def paired(table: pl.DataFrame, arm: str, against: str) -> Paired:
         p_value=mcnemar(counts[1], counts[2]),
         unpaired=first.height + second.height - 2 * n,
     )
+
+
+def paired_means(table: pl.DataFrame, arm: str, against: str, what: pl.Expr) -> PairedMeans:
+    """Compare a quantity of two arms over the scenarios in which both succeed.
+
+    Args:
+        table: one row per walk; a scenario at most once per arm.
+        arm: the first arm.
+        against: the second arm.
+        what: a quantity of a walk, as an expression with a name.
+    """
+    values = table.with_columns(what)
+    name = what.meta.output_name()
+    first, second = (
+        _by_scenario(values, which, name).filter("success").drop("success") for which in (arm, against)
+    )
+    joined = first.join(second, on="scenario", how="inner", suffix="_against").sort("scenario")
+    pairs = joined.select(name, f"{name}_against").to_numpy().astype(float)
+    if not len(pairs):
+        raise ValueError(f"arms {arm!r} and {against!r} have no scenario in which both succeed")
+    gap = pairs[:, 0] - pairs[:, 1]
+    drawn = np.random.default_rng(0).integers(0, len(gap), (RESAMPLES, len(gap)))
+    ends = 0.5 + np.array([-0.5, 0.5]) * CONFIDENCE
+    low, high = (float(end) for end in np.quantile(gap[drawn].mean(axis=1), ends))
+    mean, other = (float(mean) for mean in pairs.mean(axis=0))
+    return PairedMeans(arm, against, name, len(gap), mean, other, float(gap.mean()), low, high)
 
 
 def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
@@ -283,8 +330,8 @@ def information(codes: np.ndarray, success: np.ndarray) -> float:
     return max(0.0, bins + outcome - together + bias)
 
 
-def _by_scenario(table: pl.DataFrame, arm: str) -> pl.DataFrame:
-    walks = table.filter(pl.col("arm") == arm).select("scenario", "success")
+def _by_scenario(table: pl.DataFrame, arm: str, *more: str) -> pl.DataFrame:
+    walks = table.filter(pl.col("arm") == arm).select("scenario", "success", *more)
     if walks.is_empty():
         raise ValueError(f"no arm {arm!r}; there are {', '.join(arms(table))}")
     if walks["scenario"].n_unique() < walks.height:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +10,6 @@ import numpy as np
 from tyro.conf import arg
 
 from jaxbiped import adapt, batch, tune
-from jaxbiped.adapt import tunables
 from jaxbiped.batch import Choice, Uniform
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
@@ -146,7 +144,8 @@ def _descend(
     except ValueError as error:
         raise InputError(f"--{error}") from None
     path = command.out / "tuned.toml"
-    path.write_text(arm_file(tuned, base, command), encoding="utf-8")
+    made_by = f"jaxbiped tune --robot {command.robot} --what {' '.join(command.what)}"
+    path.write_text(tune.arm_file(tuned, base, made_by), encoding="utf-8")
     figures = figures_module()
     files = batches.save(figures, _draw(tuned, problem.experiment.robot.name), command.out)
     print(
@@ -169,33 +168,6 @@ def _draw(tuned: tune.Tuned, name: str) -> dict[str, Any]:
         "loss": descents.loss_curve(history, f"{name}: tuning {', '.join(names[:3])} ..."),
         "values": descents.value_curves(history, names, ranges, f"{name}: values while tuning"),
     }
-
-
-def arm_file(tuned: tune.Tuned, base: dict[str, str], command: Tune) -> str:
-    """The tuned arm as a TOML file, with where it came from."""
-    problem = tuned.problem
-    tables = tunables.as_tables(problem.controller, problem.tunables, tuned.values.tolist())
-    lines = [f"# Tuned by: jaxbiped tune --robot {command.robot} --what {' '.join(command.what)}", ""]
-    for stage in dict.fromkeys([*base, *tables]):
-        lines.append(f"[{stage}]")
-        lines += [f"base = '{base[stage]}'"] if stage in base else []
-        lines += [f"{name} = {value}" for name, value in tables.get(stage, {}).items()]
-        lines.append("")
-    origin = {
-        "jaxbiped": metadata.version("jaxbiped"),
-        "robot": problem.experiment.robot.name,
-        "gait": type(problem.controller.gait).__name__,
-        "scenarios": problem.experiment.table.height,
-        "seed": command.seed,
-        "steps": tuned.descent.best["step"],
-        "held_out_loss_before": tuned.before["loss"],
-        "held_out_loss": tuned.after["loss"],
-        "held_out_success_before": tuned.before["success"],
-        "held_out_success": tuned.after["success"],
-    }
-    lines.append("[origin]")
-    lines += [f"{k} = {v!r}" for k, v in origin.items()]
-    return "\n".join(lines) + "\n"
 
 
 def _plain(value: Any) -> Any:

@@ -117,7 +117,7 @@ def open_loop_references(
     table = make_feed_forward(robot, controller, duration, options)
 
     def step(state: Any, tick: Array) -> tuple[Any, References]:
-        state, targets = controller.step(state, _blind(tick * options.control_dt))
+        state, targets = controller.step(state, Sensed.nothing(tick * options.control_dt))
         return state, _references(robot, targets, table)
 
     ticks = jnp.arange(1, round(duration / options.control_dt) + 1)
@@ -129,12 +129,6 @@ def open_loop_references(
 def _references(robot: RobotParams, targets: Targets, table: FeedForward) -> References:
     reference, status = servo_reference(robot, targets, table)
     return References(reference.angle, reference.speed, reference.feed_forward, status, targets)
-
-
-def _blind(time: Float[Array, ""]) -> Sensed:
-    corners, joints = jnp.zeros((2, 4), time.dtype), jnp.zeros((2, 6), time.dtype)
-    two, three = jnp.zeros(2, time.dtype), jnp.zeros(3, time.dtype)
-    return Sensed(time, corners > 0.0, corners, corners, joints, joints, joints, two, three, two, two)
 
 
 @eqx.filter_jit

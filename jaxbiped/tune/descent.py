@@ -84,6 +84,7 @@ class Tuned:
     """What came of it."""
 
     problem: Problem
+    settings: Settings
     values: np.ndarray
     """Of the tunables, with the smallest held-out loss (k,)."""
     before: dict[str, float]
@@ -120,7 +121,7 @@ def tune(
         _save(out, state, problem, judge, settings)
     first = next(h for h in state.history if "held_out_loss" in h)
     before, after = ({k: float(h[f"held_out_{k}"]) for k in ("loss", "success")} for h in (first, state.best))
-    return Tuned(problem, np.asarray(state.best["at"]), before, after, state)
+    return Tuned(problem, settings, np.asarray(state.best["at"]), before, after, state)
 
 
 def _advance(

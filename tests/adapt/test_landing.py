@@ -30,24 +30,6 @@ N_STEPS = 6
 DELTA_Z = 0.01
 
 
-def blind(time, switch, switch_time):
-    """A reading of switches and clock only."""
-    zeros = jnp.zeros
-    return Sensed(
-        time=time,
-        switch=switch,
-        switch_time=switch_time,
-        corner_force=zeros((2, 4)),
-        ankle_wrench=zeros((2, 6)),
-        angle=zeros((2, 6)),
-        speed=zeros((2, 6)),
-        roll_pitch=zeros(2),
-        rate=zeros(3),
-        zmp_world=zeros(2),
-        zmp_body=zeros(2),
-    )
-
-
 def sole_and_pelvis(targets):
     """Position, velocity and acceleration of (left sole, right sole, pelvis), (3 orders, 3 bodies, 3)."""
     orders = (targets.position, targets.velocity, targets.acceleration)
@@ -67,7 +49,7 @@ def walk(controller, heights, ticks):
         closed = close & swings & (phase.time_since_liftoff > 0.0)
         closed_at = jnp.where(closed, jnp.minimum(closed_at, time), jnp.inf)
         spread = [jnp.broadcast_to(leaf[:, None], (2, 4)) for leaf in (closed, closed_at)]
-        state, targets = controller.step(state, blind(time, *spread))
+        state, targets = controller.step(state, Sensed.nothing(time, switch=spread[0], switch_time=spread[1]))
         row = (
             sole_and_pelvis(targets),
             sole_and_pelvis(planner.at(controller.gait, time)),

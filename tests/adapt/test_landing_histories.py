@@ -175,20 +175,8 @@ def play(
 
     def one(stage: LandingStage, closed: jax.Array, closed_at: jax.Array) -> tuple[jax.Array, jax.Array]:
         def tick(state: Any, row: Any) -> tuple[Any, jax.Array]:
-            targets, *switches = row
-            zeros = jnp.zeros
-            sensed = Sensed(
-                targets.time,
-                *switches,
-                corner_force=zeros((2, 4)),
-                ankle_wrench=zeros((2, 6)),
-                angle=zeros((2, 6)),
-                speed=zeros((2, 6)),
-                roll_pitch=zeros(2),
-                rate=zeros(3),
-                zmp_world=zeros(2),
-                zmp_body=zeros(2),
-            )
+            targets, closed, closed_at = row
+            sensed = Sensed.nothing(targets.time, switch=closed, switch_time=closed_at)
             state, commanded = stage.step(state, targets, sensed)
             return state, three_bodies(commanded)
 

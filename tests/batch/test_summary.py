@@ -110,6 +110,29 @@ def test_paired_counts_scenarios_whatever_their_order():
     assert result.p_value == pytest.approx(2 * (1 + 14 + 91) / 2**14)
 
 
+def test_paired_means_are_those_of_the_scenarios_in_which_both_succeed():
+    rng = np.random.default_rng(3)
+    base, gain = rng.normal(900.0, 200.0, 60), rng.normal(-50.0, 20.0, 60)
+    fell = np.arange(60) < 5
+    table = pl.concat(
+        [
+            walks("old", np.ones(60), left_N=base, right_N=base - 30.0),
+            walks("new", ~fell, left_N=base - 80.0, right_N=np.where(fell, 9e9, base + gain)).reverse(),
+        ]
+    )
+    most = pl.max_horizontal("left_N", "right_N").alias("peak_N")
+    found = summary.paired_means(table, "new", "old", most)
+    gap = np.maximum(gain, -80.0)[~fell]
+    assert (found.what, found.n) == ("peak_N", 55)
+    assert found.difference == pytest.approx(gap.mean()) == found.mean - found.mean_against
+    expected = stats.bootstrap((gap,), np.mean, method="percentile", n_resamples=10_000, rng=1)
+    ends = expected.confidence_interval
+    assert (found.low, found.high) == pytest.approx((ends.low, ends.high), abs=0.3)
+    nobody = table.with_columns(success=pl.col("arm") == "old")
+    with pytest.raises(ValueError, match="both succeed"):
+        summary.paired_means(nobody, "new", "old", most)
+
+
 def test_paired_leaves_out_what_only_one_arm_met_and_refuses_what_cannot_be_paired():
     table = pl.concat([walks("a", [1, 1, 0]), walks("b", [0, 1])])
     result = summary.paired(table, "a", "b")

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxbiped import robot
-from jaxbiped.planner import TaskSpace
+from jaxbiped import planner, robot
 from jaxbiped.score import WalkLoss
 from jaxbiped.sim import Sample
 
 ROBOT = robot.load("surena3")
+TARGETS = planner.at(planner.PolynomialGait.preset(ROBOT, 1), 0.0)
 WEIGHT = float(ROBOT.total_mass) * 9.81
 TILT, FORCE, IMPULSE, MARGIN, LEAN = range(5)
 
@@ -19,26 +19,19 @@ def sample(roll=0.0, pitch=0.0, corners=None):
     """One row of a trace; corners (2, 4) are vertical forces in shares of the weight."""
     corners = np.full((2, 4), 0.125) if corners is None else np.asarray(corners, float)
     force = jnp.asarray(corners * WEIGHT)
-    zero = jnp.zeros(())
-    feet = jnp.zeros((2, 3)).at[:, 2].set(force.sum(axis=1))
-    task = TaskSpace(jnp.zeros((2, 3)), jnp.zeros(3))
-    fields = {
-        "time": zero,
-        "p_world_trunk": jnp.zeros(3),
-        "roll_pitch_yaw": jnp.array([roll, pitch, 0.0]),
-        "p_world_sole": jnp.zeros((2, 3)),
-        "foot_force": feet,
-        "corner_force": force,
-        "zmp_world": jnp.zeros(2),
-        "switch": jnp.ones((2, 4), bool),
-        "torque": jnp.zeros((2, 6)),
-        "qpos": jnp.zeros(19),
-        "targets": task,
-    }
-    made = object.__new__(Sample)
-    for name, value in fields.items():
-        object.__setattr__(made, name, value)
-    return made
+    return Sample(
+        time=jnp.zeros(()),
+        p_world_trunk=jnp.zeros(3),
+        roll_pitch_yaw=jnp.array([roll, pitch, 0.0]),
+        p_world_sole=jnp.zeros((2, 3)),
+        foot_force=jnp.zeros((2, 3)).at[:, 2].set(force.sum(axis=1)),
+        corner_force=force,
+        zmp_world=jnp.zeros(2),
+        switch=jnp.ones((2, 4), bool),
+        torque=jnp.zeros((2, 6)),
+        qpos=jnp.zeros(19),
+        targets=TARGETS,
+    )
 
 
 def rate(upright=True, **given):

@@ -107,17 +107,9 @@ def reflexive(gait) -> tuple[sim.Sample, Any, PayloadReflex]:
 
     def tick(state, time):
         force = (WEIGHT + jnp.where(time > LOADED, LOAD, 0.0)) / 8.0
-        sensed = Sensed(
-            time=time,
-            switch=jnp.zeros((2, 4), bool),
-            switch_time=jnp.full((2, 4), jnp.inf),
+        sensed = Sensed.nothing(
+            time,
             corner_force=jnp.full((2, 4), force),
-            ankle_wrench=jnp.zeros((2, 6)),
-            angle=jnp.zeros((2, 6)),
-            speed=jnp.zeros((2, 6)),
-            roll_pitch=jnp.zeros(2),
-            rate=jnp.zeros(3),
-            zmp_world=jnp.zeros(2),
             zmp_body=jnp.stack([jnp.where(time > LOADED, -0.01, -0.035), 0.0]),
         )
         return controller.step(state, sensed)

@@ -39,18 +39,11 @@ def play(controller: Controller, ground: Any, load_time: Any, ticks: int) -> Any
         state, sole = carry
         closed = sole[:, 2] <= ground + DELTA_Z
         force = jnp.where(time > load_time, 1000.0, 800.0)
-        zeros = jnp.zeros
-        sensed = Sensed(
-            time=time,
+        sensed = Sensed.nothing(
+            time,
             switch=jnp.broadcast_to(closed[:, None], (2, 4)),
             switch_time=jnp.full((2, 4), time),
             corner_force=jnp.full((2, 4), force / 8.0),
-            ankle_wrench=zeros((2, 6)),
-            angle=zeros((2, 6)),
-            speed=zeros((2, 6)),
-            roll_pitch=zeros(2),
-            rate=zeros(3),
-            zmp_world=zeros(2),
             zmp_body=jnp.stack([stage.params.zmp_balanced + 0.01, jnp.zeros(())]),
         )
         state, targets = controller.step(state, sensed)

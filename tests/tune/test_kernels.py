@@ -564,20 +564,12 @@ SPANS = {
 
 def reading(time: Any, force: Any = 0.0, zmp: Any = 0.0, switches: SwitchState | None = None) -> Sensed:
     """The clock, forces, ZMP and switches."""
-    zeros = jnp.zeros
-    none = jnp.zeros((2, 4), bool)
-    return Sensed(
-        time=time,
-        switch=none if switches is None else switches.closed,
-        switch_time=zeros((2, 4)) if switches is None else switches.time,
+    felt = {} if switches is None else {"switch": switches.closed, "switch_time": switches.time}
+    return Sensed.nothing(
+        jnp.asarray(time),
         corner_force=jnp.full((2, 4), force / 8.0),
-        ankle_wrench=zeros((2, 6)),
-        angle=zeros((2, 6)),
-        speed=zeros((2, 6)),
-        roll_pitch=zeros(2),
-        rate=zeros(3),
-        zmp_world=zeros(2),
         zmp_body=jnp.stack([jnp.asarray(zmp), jnp.zeros(())]),
+        **felt,
     )
 
 

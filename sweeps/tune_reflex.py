@@ -1,0 +1,139 @@
+"""Tune elkahlout's payload reflex, and say what that buys under loads, times, masses and frictions not tuned on.
+
+Tuned on random loads, times, frictions and trunk masses, starting from the thesis' modified reflex and from the
+repaired one. Tried on the thesis' grid, on heavier loads, and on robots and grounds further off.
+
+    python sweeps/tune_reflex.py --out runs/tune_reflex
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+import tuned
+
+import jaxbiped as jb
+from jaxbiped.adapt import Controller, PayloadReflex, tunables
+from jaxbiped.batch import Uniform
+from jaxbiped.report import grids
+from jaxbiped.tune import Problem, Settings
+
+STARTS = ("modified", "repaired")
+TUNE_STEPS, TRY_STEPS = 4, 7
+"""Steps of the walks that are tuned on, and of those of the thesis' grid."""
+TIMES = tuple(round(0.1 * i, 1) for i in range(1, 49))
+"""The thesis' time [s]."""
+GRIDS = {"the thesis' grid": (2.5, 5.0, 7.5, 10.0, 12.5, 15.0), "heavier": (17.5, 20.0, 22.5, 25.0)}
+"""[kg]"""
+OPTIONS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
+MEANS = (pl.col("peak_pitch_deg"), pl.col("peak_roll_deg"), pl.col("end_time_s"))
+
+
+def controllers(robot: Any, steps: int) -> dict[str, Controller]:
+    """The arms it starts from."""
+    gait = jb.planner.CosineGait.preset(robot, steps)
+    return {
+        name: Controller(gait, payload=getattr(PayloadReflex, name)(robot, gait))
+        for name in ("original", *STARTS)
+    }
+
+
+def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Experiment:
+    """Loads up to a quarter of the robot, at any time of its first two steps."""
+    gait = arm.gait
+    last = float(gait.timing.first_liftoff) + 1.5 * float(gait.timing.T_c)
+    scenarios = jb.batch.draw(
+        n,
+        seed,
+        load_kg=Uniform(1.0, 21.0),
+        load_time_s=Uniform(float(gait.params.T_ini) + 0.05, last),
+        friction=Uniform(0.6, 1.0),
+        trunk_mass_scale=Uniform(0.96, 1.04),
+    )
+    return jb.batch.Experiment(robot, {"arm": arm}, scenarios, OPTIONS)
+
+
+def to_try_on(start: float) -> dict[str, pl.DataFrame]:
+    """By name, scenarios that no descent sees."""
+    found = {
+        name: jb.batch.grid(load_kg=loads, load_time_s=[start + t for t in TIMES])
+        for name, loads in GRIDS.items()
+    }
+    found["other robots and grounds"] = jb.batch.draw(
+        384,
+        777,
+        load_kg=Uniform(2.0, 25.0),
+        load_time_s=Uniform(start + 0.1, start + 4.8),
+        friction=Uniform(0.4, 1.2),
+        trunk_mass_scale=Uniform(0.92, 1.08),
+        leg_mass_scale=Uniform(0.92, 1.08),
+        com_x_m=Uniform(-0.01, 0.01),
+        gain_scale=Uniform(0.8, 1.25),
+        delay_s=Uniform(0.0, 0.004),
+    )
+    return found
+
+
+def main() -> None:
+    """Tune from every start, try every arm."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("runs/tune_reflex"))
+    parser.add_argument("--start", nargs="*", choices=STARTS, default=STARTS, help="arms to start from")
+    parser.add_argument("--scenarios", type=int, default=96, help="to tune on; as many are held out")
+    parser.add_argument("--batch", type=int, default=24, help="scenarios in a step")
+    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--workers", type=int)
+    arguments = parser.parse_args()
+    robot = jb.robot.load("elkahlout")
+    short, arms = controllers(robot, TUNE_STEPS), controllers(robot, TRY_STEPS)
+    settings = Settings(steps=arguments.steps, scenarios=arguments.batch)
+    for name in arguments.start:
+        on, held_out = (to_tune_on(robot, short[name], arguments.scenarios, seed) for seed in (1, 1001))
+        problem, out = Problem.of(on, ["payload"]), arguments.out / f"tuned_{name}"
+        found = tuned.descend(
+            problem, held_out, settings, {"payload": name}, out, "python sweeps/tune_reflex.py"
+        )
+        arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, jnp.asarray(found.values))
+    pairs = [(f"tuned_{name}", name) for name in arguments.start]
+    start = float(arms["original"].gait.params.T_ini)
+    for number, (what, scenarios) in enumerate(to_try_on(start).items()):
+        one = jb.batch.Experiment(robot, arms, scenarios, OPTIONS)
+        table = jb.batch.run(
+            one,
+            arguments.out / f"tried_{number}",
+            arguments.workers,
+            overwrite=True,
+            progress=jb.batch.show(),
+        )
+        tuned.print_compared(what, table, pairs, MEANS)
+        if what in GRIDS:
+            figure = grids.heat_map(
+                table, "load_kg", "load_time_s", f"elkahlout, {what}: success", offset_s=start
+            )
+            figure.savefig(arguments.out / f"success_{number}.png", dpi=110)
+            print(summary_by_load(table))
+    times = np.array(TIMES)
+    for name in arguments.start:
+        grid = jb.batch.grid(load_kg=10.0, load_time_s=(start + times).tolist())
+        problem = Problem.of(jb.batch.Experiment(robot, {name: arms[name]}, grid, OPTIONS), ["payload"])
+        title, file = f"elkahlout, arm {name}, 10 kg", arguments.out / f"sensitivity_{name}.png"
+        tuned.sensitivity(problem, times, "the thesis' time of the load [s]", title, file)
+
+
+def summary_by_load(table: pl.DataFrame) -> str:
+    """Successes by load, one line for each arm."""
+    counts = table.group_by("arm", "load_kg", maintain_order=True).agg(pl.col("success").sum(), n=pl.len())
+    lines = []
+    for walks in counts.partition_by("arm", maintain_order=True):
+        by = ", ".join(f"{load:g} kg {good}/{n}" for _, load, good, n in walks.sort("load_kg").iter_rows())
+        lines.append(f"  {walks['arm'][0]:18s} {by}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

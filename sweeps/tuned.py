@@ -1,0 +1,83 @@
+"""What the sweeps that tune share: a descent into a folder, its arm, figures, and paired comparisons in words."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+import jaxbiped as jb
+from jaxbiped.batch import summary
+from jaxbiped.report import descents
+from jaxbiped.tune import Problem, Settings, Tuned
+
+
+def descend(
+    problem: Problem,
+    held_out: jb.batch.Experiment,
+    settings: Settings,
+    base: Mapping[str, str],
+    out: Path,
+    made_by: str,
+) -> Tuned:
+    """Tune, or go on where it was stopped; the arm stands in `out`/tuned.toml, beside its figures."""
+    print(f"{out.name}: {len(problem.tunables)} tunables, {problem.duration:.1f} s a walk", flush=True)
+    tuned = jb.tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True))
+    names, ranges = [t.name for t in problem.tunables], [(t.low, t.high) for t in problem.tunables]
+    history, title = tuned.descent.history, f"{problem.experiment.robot.name}: tuning the arm {out.name}"
+    descents.loss_curve(history, title).savefig(out / "loss.png", dpi=110)
+    descents.value_curves(history, names, ranges, title).savefig(out / "values.png", dpi=110)
+    (out / "tuned.toml").write_text(jb.tune.arm_file(tuned, base, made_by), encoding="utf-8")
+    print(
+        f"held out: loss {tuned.before['loss']:.4f} -> {tuned.after['loss']:.4f}, success "
+        f"{tuned.before['success']:.1%} -> {tuned.after['success']:.1%}; {tuned.descent.finished}"
+    )
+    for t, old, new in zip(problem.tunables, problem.start, tuned.values, strict=True):
+        print(f"  {t.name:34s} {old:9.4f} -> {new:9.4f} {t.unit}")
+    return tuned
+
+
+def print_compared(
+    what: str, table: pl.DataFrame, pairs: Sequence[tuple[str, str]], means: Sequence[pl.Expr]
+) -> None:
+    """Successes of every arm; for every pair of arms what the first gains on the second, with 95 % intervals."""
+    print(f"\n{what}")
+    for arm, n, successes in summary.cells(table).select("arm", "n", "successes").iter_rows():
+        print(f"  {arm:18s} {successes} of {n} succeed")
+    for arm, against in pairs:
+        one = summary.paired(table, arm, against)
+        print(
+            f"  {arm} less {against}: {one.difference:+.1%} ({one.low:+.1%} to {one.high:+.1%}), "
+            f"{one.only_first} succeed only with {arm}, {one.only_second} only with {against}, p = {one.p_value:.2g}"
+        )
+        if not one.both:
+            continue
+        for quantity in means:
+            m = summary.paired_means(table, arm, against, quantity)
+            print(
+                f"    {m.what}: {m.mean_against:.4g} -> {m.mean:.4g}, {m.difference:+.3g} "
+                f"({m.low:+.3g} to {m.high:+.3g}) over {m.n}"
+            )
+
+
+def sensitivity(problem: Problem, x: np.ndarray, label: str, title: str, file: Path) -> None:
+    """Draw the derivative of every walk's loss by every tunable, over x, beside its finite-difference secant.
+
+    Secants are a thousandth of each range wide: what a person would see who turned the knob a little.
+    """
+    rows, width = np.arange(len(x)), np.array([t.high - t.low for t in problem.tunables])
+    slope = jb.tune.forward(problem, problem.start, rows)
+    secant = jb.tune.central(problem, problem.start, rows, 1e-3 * width)
+    names = [t.name for t in problem.tunables]
+    figure = descents.sensitivity(
+        x, slope.by_scenario * width, secant.by_scenario * width, names, label, title
+    )
+    figure.savefig(file, dpi=110)
+    print(f"\n{title}: {file}")
+    for i, name in enumerate(names):
+        a, b = slope.by_scenario[:, i] * width[i], secant.by_scenario[:, i] * width[i]
+        moved = np.maximum(np.abs(a), np.abs(b)) > 0.0
+        gap: Any = np.abs(a - b)[moved] / np.maximum(np.abs(a), np.abs(b))[moved]
+        apart = f"{np.median(gap):.1%} apart (median)" if moved.any() else "no walk depends on it"
+        print(f"  {name:34s} mean |derivative| {np.mean(np.abs(a)):8.3f} per range, secants {apart}")
