@@ -86,7 +86,7 @@ def main() -> None:
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
     arms = {name: Controller(gait, landing=getattr(Landing, name)()) for name in STARTS}
-    settings = Settings(steps=arguments.steps, scenarios=arguments.batch)
+    settings = Settings(steps=arguments.steps, scenarios=arguments.batch, trust_every=15)
     for name in arguments.start:
         on, held_out = (to_tune_on(robot, arms[name], arguments.scenarios, seed) for seed in (1, 1001))
         problem, out = Problem.of(on, ["landing"]), arguments.out / f"tuned_{name}"

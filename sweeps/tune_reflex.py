@@ -24,6 +24,8 @@ from jaxbiped.tune import Problem, Settings
 STARTS = ("modified", "repaired")
 TUNE_STEPS, TRY_STEPS = 4, 7
 """Steps of the walks that are tuned on, and of those of the thesis' grid."""
+HORIZON = 12.0
+"""Of the walks that are tuned on [s]: the last load, its recovery, a step more. Held-out ones go on to their verdict."""
 TIMES = tuple(round(0.1 * i, 1) for i in range(1, 49))
 """The thesis' time [s]."""
 GRIDS = {"the thesis' grid": (2.5, 5.0, 7.5, 10.0, 12.5, 15.0), "heavier": (17.5, 20.0, 22.5, 25.0)}
@@ -41,7 +43,9 @@ def controllers(robot: Any, steps: int) -> dict[str, Controller]:
     }
 
 
-def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Experiment:
+def to_tune_on(
+    robot: Any, arm: Controller, n: int, seed: int, duration: float | None = None
+) -> jb.batch.Experiment:
     """Loads up to a quarter of the robot, at any time of its first two steps."""
     gait = arm.gait
     last = float(gait.timing.first_liftoff) + 1.5 * float(gait.timing.T_c)
@@ -53,7 +57,7 @@ def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Exper
         friction=Uniform(0.6, 1.0),
         trunk_mass_scale=Uniform(0.96, 1.04),
     )
-    return jb.batch.Experiment(robot, {"arm": arm}, scenarios, OPTIONS)
+    return jb.batch.Experiment(robot, {"arm": arm}, scenarios, OPTIONS, duration=duration)
 
 
 def to_try_on(start: float) -> dict[str, pl.DataFrame]:
@@ -83,17 +87,19 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=Path("runs/tune_reflex"))
-    parser.add_argument("--start", nargs="*", choices=STARTS, default=STARTS, help="arms to start from")
-    parser.add_argument("--scenarios", type=int, default=96, help="to tune on; as many are held out")
-    parser.add_argument("--batch", type=int, default=24, help="scenarios in a step")
-    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--start", nargs="*", choices=STARTS, default=STARTS[:1], help="arms to start from")
+    parser.add_argument("--scenarios", type=int, default=96, help="to tune on")
+    parser.add_argument("--held-out", type=int, default=64, help="scenarios that say when to stop")
+    parser.add_argument("--batch", type=int, default=16, help="scenarios in a step")
+    parser.add_argument("--steps", type=int, default=30)
     parser.add_argument("--workers", type=int)
     arguments = parser.parse_args()
     robot = jb.robot.load("elkahlout")
     short, arms = controllers(robot, TUNE_STEPS), controllers(robot, TRY_STEPS)
-    settings = Settings(steps=arguments.steps, scenarios=arguments.batch)
+    settings = Settings(steps=arguments.steps, scenarios=arguments.batch, trust_every=15)
     for name in arguments.start:
-        on, held_out = (to_tune_on(robot, short[name], arguments.scenarios, seed) for seed in (1, 1001))
+        on = to_tune_on(robot, short[name], arguments.scenarios, 1, HORIZON)
+        held_out = to_tune_on(robot, short[name], arguments.held_out, 1001)
         problem, out = Problem.of(on, ["payload"]), arguments.out / f"tuned_{name}"
         found = tuned.descend(
             problem, held_out, settings, {"payload": name}, out, "python sweeps/tune_reflex.py"

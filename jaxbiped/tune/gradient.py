@@ -5,9 +5,10 @@ computed once for all of them. The twins share nothing with it but the simulator
 scenarios and seeds, and antithetic Gaussian smoothing, which also sees what happens at some distance.
 """
 
+import dataclasses
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +27,8 @@ from jaxbiped.sim.rollout import base_model, make_feed_forward, simulate
 
 LANES = 64
 """Walks in one call."""
+SAMPLES = 8
+"""Of the tangents' growth, over the walk."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,10 @@ class Gradient:
     """By the papers' rules (n,)."""
     seconds: float
     """Wall time, compiling included."""
+    growth_time: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """Times of `growth` since the start of the walk [s] (about SAMPLES,); none but with forward mode."""
+    growth: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    """Norms of the tangents of trunk and soles then [m and rad per unit of the tunable] (n, times, k)."""
 
     @property
     def value(self) -> float:
@@ -109,15 +116,16 @@ class Problem:
     def setting(self) -> "_Setting":
         """What the compiled functions need."""
         one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
-        experiment = self.experiment
+        experiment, options = self.experiment, self.experiment.simulation
+        every = max(1, round(self.duration / options.control_dt) // SAMPLES)
         return _Setting(
             experiment.robot,
-            base_model(experiment.robot, one, experiment.simulation),
+            base_model(experiment.robot, one, options),
             self.controller,
             self.loss,
             self.tunables,
             self.duration,
-            experiment.simulation,
+            dataclasses.replace(options, trace_every=every),
         )
 
     def scenarios(self, rows: np.ndarray) -> sim.Scenario:
@@ -136,64 +144,58 @@ class _Setting(eqx.Module):
     duration: float = eqx.field(static=True)
     options: sim.Options = eqx.field(static=True)
 
-    def losses(self, at: Float[Array, " k"], scenarios: sim.Scenario) -> tuple[Array, dict[str, Array]]:
-        """Losses of a batch, and what became of the walks."""
-        gait = self._controller(at).gait
-
-        def judged(walk: sim.Walk, scenario: sim.Scenario) -> tuple[Array, dict[str, Array]]:
-            assert walk.integral is not None
-            loss = self.loss.total(walk.integral, walk, self.duration)
-            return loss, {"status": walk.statistics.status, "success": judge(walk, gait, scenario).success}
-
-        return jax.vmap(judged)(self.walks(at, scenarios), scenarios)
-
-    def walks(self, at: Float[Array, " k"], scenarios: sim.Scenario) -> sim.Walk:
-        """A batch of walks with their integrals."""
-        controller = self._controller(at)
+    def walk(self, at: Float[Array, " k"], scenarios: sim.Scenario) -> tuple[Any, dict[str, Array]]:
+        """Walk a batch: (losses, poses), to be differentiated, and what became of the walks."""
+        controller = tunables.apply(self.robot, self.controller, self.tunables, at)
         torque = make_feed_forward(self.robot, controller, self.duration, self.options)
 
         def rate(sample: sim.Sample, upright: Array) -> Array:
             return self.loss.rate(self.robot, sample, upright)
 
-        def one(scenario: sim.Scenario) -> sim.Walk:
-            return simulate(
+        def one(scenario: sim.Scenario) -> tuple[Any, dict[str, Array]]:
+            walk = simulate(
                 self.robot, self.model, controller, scenario, torque, self.duration, self.options, rate
             )
+            assert walk.integral is not None and walk.trace is not None
+            loss = self.loss.total(walk.integral, walk, self.duration)
+            success = judge(walk, controller.gait, scenario).success
+            became = {"status": walk.statistics.status, "success": success, "time": walk.trace.time}
+            return (loss, _poses(walk.trace)), became
 
         return jax.vmap(one)(scenarios)
 
-    def _controller(self, at: Float[Array, " k"]) -> Controller:
-        return tunables.apply(self.robot, self.controller, self.tunables, at)
+
+def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
+    """Trunk and soles [m, rad]."""
+    soles = trace.p_world_sole.reshape(-1, 6)
+    return jnp.concatenate([trace.p_world_trunk, trace.roll_pitch_yaw, soles], axis=-1)
 
 
 @eqx.filter_jit
 def walk_slopes(
-    setting: _Setting, at: Array, scenarios: sim.Scenario
-) -> tuple[Array, Array, dict[str, Array]]:
-    """Losses (n,) and their derivatives (n, k); the walks are computed once, their tangents side by side."""
+    setting: _Setting, at: Float[Array, " k"], scenarios: sim.Scenario
+) -> tuple[Array, Array, Array, dict[str, Array]]:
+    """Losses (n,), their derivatives (n, k), norms of the tangents (n, t, k): walked once, tangents side by side."""
 
-    def along(unit: Array) -> tuple[Array, Array, dict[str, Array]]:
-        value, slope, aux = jax.jvp(lambda x: setting.losses(x, scenarios), (at,), (unit,), has_aux=True)
-        return value, slope, aux
+    def along(unit: Array) -> tuple[Array, Array, Array, dict[str, Array]]:
+        (loss, _), (slope, poses), became = jax.jvp(
+            lambda x: setting.walk(x, scenarios), (at,), (unit,), has_aux=True
+        )
+        return loss, slope, jnp.sqrt(jnp.sum(poses**2, axis=-1)), became
 
     units = jnp.eye(len(setting.tunables), dtype=at.dtype)
-    return jax.vmap(along, out_axes=(None, 1, None))(units)
+    return jax.vmap(along, out_axes=(None, 1, 2, None))(units)
 
 
 @eqx.filter_jit
-def walk_values(setting: _Setting, at: Array, scenarios: sim.Scenario) -> tuple[Array, dict[str, Array]]:
-    """Losses (m, n) at m points, all scenarios at each."""
-    return jax.vmap(lambda x: setting.losses(x, scenarios))(at)
+def walk_values(
+    setting: _Setting, at: Float[Array, "n k"], scenarios: sim.Scenario
+) -> tuple[Array, dict[str, Array]]:
+    """Losses (n,) of scenarios with each its own values of the tunables."""
 
-
-@eqx.filter_jit
-def _scattered(setting: _Setting, at: Array, scenarios: sim.Scenario) -> tuple[Array, dict[str, Array]]:
-    """Losses (n, m) at m points for each scenario, its own ones: at (n, m, k)."""
-
-    def one(points: Array, scenario: sim.Scenario) -> tuple[Array, dict[str, Array]]:
-        alone = jax.tree.map(lambda leaf: leaf[None], scenario)
-        loss, aux = jax.vmap(lambda x: setting.losses(x, alone))(points)
-        return loss[:, 0], jax.tree.map(lambda leaf: leaf[:, 0], aux)
+    def one(x: Array, scenario: sim.Scenario) -> tuple[Array, dict[str, Array]]:
+        (loss, _), became = setting.walk(x, jax.tree.map(lambda leaf: leaf[None], scenario))
+        return loss[0], {name: became[name][0] for name in ("status", "success")}
 
     return jax.vmap(one)(at, scenarios)
 
@@ -222,24 +224,26 @@ def value_and_grad(
 
 def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     """Forward mode at a point."""
-    began, setting = time.perf_counter(), problem.setting
-    found = []
-    for chunk, n in _chunks(rows, LANES):
-        value, slope, aux = walk_slopes(setting, jnp.asarray(at), problem.scenarios(chunk))
-        found.append((value[:n], slope[:n], aux["status"][:n], aux["success"][:n]))
-    return _gradient(problem, at, found, began)
+    began, found, growth, times = time.perf_counter(), [], [], np.zeros(0)
+    for chunk, n in _chunks(rows):
+        loss, slope, norms, became = walk_slopes(problem.setting, jnp.asarray(at), problem.scenarios(chunk))
+        found.append((loss[:n], slope[:n], became["status"][:n], became["success"][:n]))
+        growth.append(norms[:n])
+        times = np.asarray(became["time"][0])
+    made = _gradient(problem, at, found, began)
+    return dataclasses.replace(made, growth_time=times, growth=np.concatenate(growth))
 
 
 def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = None) -> Gradient:
     """Central differences over the same scenarios; half of their `widths` (k,) to each side, see `default_widths`."""
-    began, setting, k = time.perf_counter(), problem.setting, len(problem.tunables)
+    began, k = time.perf_counter(), len(problem.tunables)
     width = 0.5 * (default_widths(problem) if widths is None else np.asarray(widths, float))
-    points = jnp.asarray(np.concatenate([at[None], at + np.diag(width), at - np.diag(width)]))
+    points = np.concatenate([at[None], at + np.diag(width), at - np.diag(width)])
     found = []
-    for chunk, n in _chunks(rows, max(1, LANES // (2 * k + 1))):
-        value, aux = walk_values(setting, points, problem.scenarios(chunk))
+    for chunk, n in _chunks(rows):
+        value, became = _walked(problem, chunk, np.broadcast_to(points[:, None], (2 * k + 1, len(chunk), k)))
         slope = (value[1 : k + 1] - value[k + 1 :]) / (2.0 * width)[:, None]
-        found.append((value[0, :n], slope.T[:n], aux["status"][0, :n], aux["success"][0, :n]))
+        found.append((value[0, :n], slope.T[:n], became["status"][:n], became["success"][:n]))
     return _gradient(problem, at, found, began)
 
 
@@ -253,28 +257,37 @@ def smoothed(
     problem: Problem, at: np.ndarray, rows: np.ndarray, sigma: float = 0.02, pairs: int = 4, seed: int = 0
 ) -> Gradient:
     """Antithetic Gaussian smoothing; `sigma` is a share of each tunable's range, every scenario has its own pairs."""
-    began, setting = time.perf_counter(), problem.setting
-    k, width = len(problem.tunables), np.array([t.high - t.low for t in problem.tunables])
+    began, k = time.perf_counter(), len(problem.tunables)
+    width = np.array([t.high - t.low for t in problem.tunables])
     rng, found = np.random.default_rng(seed), []
-    for chunk, n in _chunks(rows, max(1, LANES // (2 * pairs + 1))):
-        way = rng.standard_normal((len(chunk), pairs, k))
+    for chunk, n in _chunks(rows):
+        way = rng.standard_normal((pairs, len(chunk), k))
         moved = sigma * width * way
-        points = np.concatenate([np.broadcast_to(at, (len(chunk), 1, k)), at + moved, at - moved], axis=1)
-        value, aux = _scattered(setting, jnp.asarray(points), problem.scenarios(chunk))
-        difference = np.asarray(value[:, 1 : pairs + 1] - value[:, pairs + 1 :]) / (2.0 * sigma)
-        slope = np.mean(difference[..., None] * way, axis=1) / width
-        found.append((value[:n, 0], slope[:n], aux["status"][:n, 0], aux["success"][:n, 0]))
+        points = np.concatenate([np.broadcast_to(at, (1, len(chunk), k)), at + moved, at - moved])
+        value, became = _walked(problem, chunk, points)
+        difference = (value[1 : pairs + 1] - value[pairs + 1 :]) / (2.0 * sigma)
+        slope = np.mean(difference[..., None] * way, axis=0) / width
+        found.append((value[0, :n], slope[:n], became["status"][:n], became["success"][:n]))
     return _gradient(problem, at, found, began)
 
 
 def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Losses and successes (n,), without derivatives."""
     found = []
-    for chunk, n in _chunks(rows, LANES):
-        value, aux = walk_values(problem.setting, jnp.asarray(at)[None], problem.scenarios(chunk))
-        found.append((np.asarray(value[0, :n]), np.asarray(aux["success"][0, :n])))
+    for chunk, n in _chunks(rows):
+        value, became = _walked(problem, chunk, np.broadcast_to(at, (1, len(chunk), len(at))))
+        found.append((value[0, :n], became["success"][:n]))
     losses, success = (np.concatenate(part) for part in zip(*found, strict=True))
     return losses, success
+
+
+def _walked(
+    problem: Problem, rows: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Losses (m, n) of n scenarios at m points each (m, n, k), and what became of the walks at the first ones."""
+    scenarios = problem.scenarios(rows)
+    found = [walk_values(problem.setting, jnp.asarray(each), scenarios) for each in points]
+    return np.stack([np.asarray(loss) for loss, _ in found]), jax.tree.map(np.asarray, found[0][1])
 
 
 def _gradient(problem: Problem, at: np.ndarray, found: list[tuple], began: float) -> Gradient:
@@ -283,11 +296,11 @@ def _gradient(problem: Problem, at: np.ndarray, found: list[tuple], began: float
     return Gradient(problem.tunables, np.asarray(at, float), losses, slopes, status, success, took)
 
 
-def _chunks(rows: np.ndarray, lanes: int) -> Iterator[tuple[np.ndarray, int]]:
-    """Rows in pieces of one size, the last one padded, and how many of a piece count."""
-    for start in range(0, len(rows), lanes):
-        piece = rows[start : start + lanes]
-        room = min(lanes, len(rows))
+def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
+    """Rows in pieces of one size, LANES at most, the last one padded, and how many of a piece count."""
+    room = min(LANES, len(rows))
+    for start in range(0, len(rows), room):
+        piece = rows[start : start + room]
         yield np.concatenate([piece, np.full(room - len(piece), piece[-1])]), len(piece)
 
 

@@ -1,5 +1,6 @@
 """The descent and the trust report, on losses whose derivatives are known: no walk is simulated."""
 
+import dataclasses
 import json
 from dataclasses import replace
 
@@ -39,7 +40,9 @@ def bowl(monkeypatch, problem):
 
     def forward(p, at, rows):
         calls["forward"] += 1
-        return made(p, at, rows, -1.0 if calls["lie"] else 1.0, 3.0 if calls["lie"] else 0.0)
+        found = made(p, at, rows, -1.0 if calls["lie"] else 1.0, 3.0 if calls["lie"] else 0.0)
+        growth = np.ones((len(rows), 8, len(at)))
+        return dataclasses.replace(found, growth_time=np.arange(1.0, 9.0), growth=growth)
 
     def smoothed(p, at, rows, *_, **__):
         calls["smoothed"] += 1
@@ -51,8 +54,6 @@ def bowl(monkeypatch, problem):
     monkeypatch.setattr(
         gradient, "outcomes", lambda p, at, rows: (losses(at, rows), np.ones(len(rows), bool))
     )
-    monkeypatch.setattr(trust, "tangent_growth", lambda *_: (np.arange(1.0, 9.0), np.ones(8)))
-    monkeypatch.setattr(trust, "cost_per_tangent", lambda *_: 0.5)
     return calls
 
 
@@ -130,11 +131,12 @@ def of(slopes, status=None):
     ts = (Tunable("payload.a", 0.0, 1.0, "s", ""), Tunable("payload.b", -1.0, 1.0, "m", ""))
     n = len(slopes)
     status = np.zeros(n, int) if status is None else np.asarray(status)
-    return Gradient(ts, np.zeros(2), np.zeros(n), slopes, status, status == 0, 0.0)
+    growth = np.ones((n, 8, 2))
+    return Gradient(ts, np.zeros(2), np.zeros(n), slopes, status, status == 0, 0.0, np.arange(8.0), growth)
 
 
 def report(problem, forward, central, smoothed):
-    return Trust(problem, forward, central, smoothed, np.arange(8.0), np.ones(8), 0.5)
+    return Trust(problem, forward, central, smoothed, 0.5)
 
 
 def test_report_compares_what_can_be_compared(problem):
