@@ -35,11 +35,16 @@ MEANS = (
 
 
 def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Experiment:
-    """One pad or hole of up to 4 cm."""
-    heights = tuple(float(h) for h in np.linspace(-0.04, 0.04, 33) if h)
-    column = {height_column(TUNED_STEP): Choice(heights)}
+    """One pad or hole of up to 5.1 cm, at heights that are not tried later; robots and grounds less far off."""
+    heights = tuple(float(h) for h in np.linspace(-0.051, 0.051, 35))
     scenarios = jb.batch.draw(
-        n, seed, friction=Uniform(0.6, 1.0), trunk_mass_scale=Uniform(0.96, 1.04), **column
+        n,
+        seed,
+        friction=Uniform(0.6, 1.0),
+        trunk_mass_scale=Uniform(0.96, 1.04),
+        gain_scale=Uniform(0.9, 1.1),
+        delta_z_m=Uniform(0.008, 0.012),
+        **{height_column(TUNED_STEP): Choice(heights)},
     )
     return jb.batch.Experiment(robot, {"arm": arm}, scenarios)
 

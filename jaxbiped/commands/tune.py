@@ -34,6 +34,8 @@ LIGHTEST, HEAVIEST = 0.02, 0.2
 HIGHEST = 0.04
 """Of pads [m]."""
 STEPS = {"payload": 4, "landing": 6}
+HORIZON = 10.0
+"""Of the walks whose gradient is taken [s]."""
 PAD_STEP = 2
 """Step under which the pads are."""
 
@@ -56,11 +58,12 @@ class Tune:
     steps: int = 40
     """Steps of the descent."""
     duration: float | None = None
-    """How long every walk is simulated [s]. Default: as long as its verdict needs."""
+    """How long every walk is simulated [s]. Default: 10 s for gradients, held-out walks as long as their verdict
+    needs."""
     trust_only: bool = False
-    """Only say how far the gradient at the start can be trusted."""
+    """Only say how far the gradient at the start can be trusted; in float64, for float32 blurs finite differences."""
     x64: bool = False
-    """Simulate in float64: three times slower, and derivatives with more digits."""
+    """Descend in float64: twice as slow, and derivatives with more digits."""
     seed: int = 0
     """Of the scenarios and of the descent."""
     out: Path = Path("runs/tune")
@@ -77,7 +80,7 @@ def run(command: Tune) -> dict[str, Any]:
             raise InputError(f"--{name}: got {getattr(command, name)}, allowed: >= {least}")
     with refusing(command.out, "a folder that can be made and written"):
         make_writable(command.out)
-    with jax.enable_x64(command.x64):
+    with jax.enable_x64(command.x64 or command.trust_only):
         problem, held_out, base = set_up(command)
         return _trust(command, problem) if command.trust_only else _descend(command, problem, held_out, base)
 
@@ -103,10 +106,10 @@ def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, dict[str, str
             {command.arm or "tuned": arm},
             _scenarios(command, params, gait, stages, command.seed + 1000 * held),
             simulation_options(params, gait),
-            duration=command.duration,
+            duration=horizon if command.duration is None else command.duration,
             seed=command.seed,
         )
-        for held in (0, 1)
+        for held, horizon in ((0, HORIZON), (1, None))
     ]
     try:
         return tune.Problem.of(made[0], command.what), made[1], base

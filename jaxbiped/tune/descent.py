@@ -34,7 +34,7 @@ class Settings:
     """In a step."""
     rate: float = 0.15
     """Largest change in a step, of the unconstrained variable."""
-    trust_every: int = 10
+    trust_every: int = 20
     """Steps between trust reports."""
     held_out_every: int = 5
     """Steps between looks at the held-out scenarios."""

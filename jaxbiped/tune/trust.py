@@ -188,34 +188,29 @@ def report(
         sigma: of the smoothing, as a share of each range.
         pairs: of the smoothing, for each scenario.
         seed: of the smoothing.
-        timed: also measure what a tangent costs, which takes four gradients more.
+        timed: also measure what a tangent costs, which takes another gradient.
     """
     return Trust(
         problem,
         gradient.forward(problem, at, rows),
         gradient.central(problem, at, rows, widths),
         gradient.smoothed(problem, at, rows, sigma, pairs, seed),
-        cost_per_tangent(problem, at, rows[: gradient.LANES]) if timed else None,
+        _cost_per_tangent(problem, at, rows[: gradient.LANES]) if timed else None,
     )
 
 
-def cost_per_tangent(problem: Problem, at: np.ndarray, rows: np.ndarray) -> float:
-    """Time of the gradient less that of the walks, over tangents and walks; compiling left out, best of two."""
+def _cost_per_tangent(problem: Problem, at: np.ndarray, rows: np.ndarray) -> float:
+    """Time of the gradient less that of the walks, over tangents and walks; both are compiled already."""
     setting, scenarios, x = problem.setting, problem.scenarios(rows), jnp.asarray(at)
     points = jnp.broadcast_to(x, (len(rows), len(x)))
 
-    def best(function: Any) -> float:
-        jax.block_until_ready(function())
-        seconds = []
-        for _ in range(2):
-            began = time.perf_counter()
-            jax.block_until_ready(function())
-            seconds.append(time.perf_counter() - began)
-        return min(seconds)
+    def seconds(function: Any, *arguments: Any) -> float:
+        began = time.perf_counter()
+        jax.block_until_ready(function(setting, *arguments))
+        return time.perf_counter() - began
 
-    walks = best(lambda: gradient.walk_values(setting, points, scenarios))
-    slopes = best(lambda: gradient.walk_slopes(setting, x, scenarios))
-    return (slopes - walks) / (len(problem.tunables) * walks)
+    walks = seconds(gradient.walk_values, points, scenarios)
+    return (seconds(gradient.walk_slopes, x, scenarios) - walks) / (len(at) * walks)
 
 
 def mix(forward: Gradient, other: Gradient, trusted: np.ndarray) -> np.ndarray:
