@@ -40,10 +40,10 @@ Command = (
 
 def main(args: list[str] | None = None) -> int:
     """Run the console command; returns the exit code: 0 done, 1 something is missing, 2 bad input."""
-    workers.use_one_thread()
-    workers.keep_compiled_kernels()
     try:
         command = _parse(args)
+        workers.use_threads(workers.cores() if isinstance(command, tune.Tune) else 1)
+        workers.keep_compiled_kernels()
         result = _run(command)
     except InputError as error:
         return _complain(error, BAD_INPUT)

@@ -36,7 +36,9 @@ MEANS = (
 
 def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Experiment:
     """One pad or hole of up to 5.1 cm, at heights that are not tried later; robots and grounds less far off."""
-    heights = tuple(float(h) for h in np.linspace(-0.051, 0.051, 35))
+    heights: dict[str, Any] = {
+        height_column(TUNED_STEP): Choice(tuple(float(h) for h in np.linspace(-0.051, 0.051, 35)))
+    }
     scenarios = jb.batch.draw(
         n,
         seed,
@@ -44,7 +46,7 @@ def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Exper
         trunk_mass_scale=Uniform(0.96, 1.04),
         gain_scale=Uniform(0.9, 1.1),
         delta_z_m=Uniform(0.008, 0.012),
-        **{height_column(TUNED_STEP): Choice(heights)},
+        **heights,
     )
     return jb.batch.Experiment(robot, {"arm": arm}, scenarios)
 
@@ -55,6 +57,7 @@ def to_try_on() -> dict[str, pl.DataFrame]:
     single = pl.DataFrame({second: HEIGHTS})
     both = pl.DataFrame({first: HEIGHTS, second: [-h for h in HEIGHTS]})
     heights = tuple(float(h) for h in np.linspace(-0.05, 0.05, 101) if h)
+    pads: dict[str, Any] = {name: Choice(heights) for name in (first, second)}
     drawn = jb.batch.draw(
         256,
         777,
@@ -67,7 +70,7 @@ def to_try_on() -> dict[str, pl.DataFrame]:
         delta_z_m=Uniform(0.006, 0.014),
         delay_s=Uniform(0.0, 0.004),
         bounce_s=Uniform(0.0, 0.01),
-        **{name: Choice(heights) for name in (first, second)},
+        **pads,
     )
     return {
         "a pad or hole under step 3": single,

@@ -90,7 +90,7 @@ def run(
     count = _Count(experiment, store, progress or (lambda _: None))
     if missing:
         if workers == 1 and scheduler is None:
-            crew.use_one_thread()
+            crew.use_threads()
             done = crew.in_this_process(experiment, missing)
         else:
             done = crew.on_dask(experiment, missing, min(workers, len(missing)), scheduler)

@@ -67,10 +67,18 @@ class WorkersError(RuntimeError):
     """Workers that cannot be had or are lost; what they have finished is kept."""
 
 
-def use_one_thread() -> None:
-    """Keep this process to one core, unless XLA is already running or its flags are set."""
-    for name, value in ONE_THREAD.items():
+def use_threads(count: int = 1) -> None:
+    """Keep XLA in this process to so many threads, unless it is already running or its flags are set."""
+    for name, value in {**ONE_THREAD, "NPROC": str(count)}.items():
         os.environ.setdefault(name, value)
+
+
+def threads() -> int:
+    """How many compiled functions can run at once in this process: one on each of XLA's threads, one on a GPU."""
+    if jax.default_backend() != "cpu":
+        return 1
+    given = os.environ.get("NPROC", "")
+    return min(cores(), int(given)) if given.isdecimal() else cores()
 
 
 def keep_compiled_kernels() -> None:

@@ -8,6 +8,7 @@ scenarios and seeds, and antithetic Gaussian smoothing, which also sees what hap
 import dataclasses
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -21,12 +22,13 @@ from jaxtyping import Array, Float
 from jaxbiped import batch, sim
 from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
+from jaxbiped.batch.workers import threads
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import Loss, WalkLoss, judge
 from jaxbiped.sim.rollout import base_model, make_feed_forward, simulate
 
 LANES = 64
-"""Walks in one call."""
+"""Most walks in one call; as many calls are made at once as XLA has threads."""
 SAMPLES = 8
 """Of the tangents' growth, over the walk."""
 
@@ -77,6 +79,8 @@ class Problem:
     tunables: tuple[Tunable, ...]
     loss: Any
     arm: str
+    compiled: set[Any] = field(default_factory=set, repr=False, compare=False)
+    """Functions that have been called, and for how many walks."""
 
     @classmethod
     def of(
@@ -225,8 +229,9 @@ def value_and_grad(
 def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     """Forward mode at a point."""
     began, found, growth, times = time.perf_counter(), [], [], np.zeros(0)
-    for chunk, n in _chunks(rows):
-        loss, slope, norms, became = walk_slopes(problem.setting, jnp.asarray(at), problem.scenarios(chunk))
+    point, pieces = jnp.asarray(at), list(_chunks(rows))
+    walked = _side_by_side(problem, walk_slopes, [(point, problem.scenarios(chunk)) for chunk, _ in pieces])
+    for (_, n), (loss, slope, norms, became) in zip(pieces, walked, strict=True):
         found.append((loss[:n], slope[:n], became["status"][:n], became["success"][:n]))
         growth.append(norms[:n])
         times = np.asarray(became["time"][0])
@@ -236,15 +241,12 @@ def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
 
 def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = None) -> Gradient:
     """Central differences over the same scenarios; half of their `widths` (k,) to each side, see `default_widths`."""
-    began, k = time.perf_counter(), len(problem.tunables)
+    began, n, k = time.perf_counter(), len(rows), len(problem.tunables)
     width = 0.5 * (default_widths(problem) if widths is None else np.asarray(widths, float))
     points = np.concatenate([at[None], at + np.diag(width), at - np.diag(width)])
-    found = []
-    for chunk, n in _chunks(rows):
-        value, became = _walked(problem, chunk, np.broadcast_to(points[:, None], (2 * k + 1, len(chunk), k)))
-        slope = (value[1 : k + 1] - value[k + 1 :]) / (2.0 * width)[:, None]
-        found.append((value[0, :n], slope.T[:n], became["status"][:n], became["success"][:n]))
-    return _gradient(problem, at, found, began)
+    value, became = _walked(problem, rows, np.broadcast_to(points[:, None], (2 * k + 1, n, k)))
+    slope = (value[1 : k + 1] - value[k + 1 :]) / (2.0 * width)[:, None]
+    return _gradient(problem, at, [(value[0], slope.T, became["status"], became["success"])], began)
 
 
 def default_widths(problem: Problem) -> np.ndarray:
@@ -259,35 +261,55 @@ def smoothed(
     """Antithetic Gaussian smoothing; `sigma` is a share of each tunable's range, every scenario has its own pairs."""
     began, k = time.perf_counter(), len(problem.tunables)
     width = np.array([t.high - t.low for t in problem.tunables])
-    rng, found = np.random.default_rng(seed), []
-    for chunk, n in _chunks(rows):
-        way = rng.standard_normal((pairs, len(chunk), k))
-        moved = sigma * width * way
-        points = np.concatenate([np.broadcast_to(at, (1, len(chunk), k)), at + moved, at - moved])
-        value, became = _walked(problem, chunk, points)
-        difference = (value[1 : pairs + 1] - value[pairs + 1 :]) / (2.0 * sigma)
-        slope = np.mean(difference[..., None] * way, axis=0) / width
-        found.append((value[0, :n], slope[:n], became["status"][:n], became["success"][:n]))
-    return _gradient(problem, at, found, began)
+    way = np.random.default_rng(seed).standard_normal((pairs, len(rows), k))
+    moved = sigma * width * way
+    value, became = _walked(problem, rows, np.concatenate([0.0 * moved[:1] + at, at + moved, at - moved]))
+    difference = (value[1 : pairs + 1] - value[pairs + 1 :]) / (2.0 * sigma)
+    slope = np.mean(difference[..., None] * way, axis=0) / width
+    return _gradient(problem, at, [(value[0], slope, became["status"], became["success"])], began)
 
 
 def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Losses and successes (n,), without derivatives."""
-    found = []
-    for chunk, n in _chunks(rows):
-        value, became = _walked(problem, chunk, np.broadcast_to(at, (1, len(chunk), len(at))))
-        found.append((value[0, :n], became["success"][:n]))
-    losses, success = (np.concatenate(part) for part in zip(*found, strict=True))
-    return losses, success
+    value, became = _walked(problem, rows, np.broadcast_to(at, (1, len(rows), len(at))))
+    return value[0], became["success"]
 
 
-def _walked(
-    problem: Problem, rows: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Losses (m, n) of n scenarios at m points each (m, n, k), and what became of the walks at the first ones."""
-    scenarios = problem.scenarios(rows)
-    found = [walk_values(problem.setting, jnp.asarray(each), scenarios) for each in points]
-    return np.stack([np.asarray(loss) for loss, _ in found]), jax.tree.map(np.asarray, found[0][1])
+    pieces, start, calls = list(_chunks(rows)), 0, []
+    for chunk, n in pieces:
+        own = at[:, start : start + n]
+        padded = np.concatenate([own, np.repeat(own[:, -1:], len(chunk) - n, axis=1)], axis=1)
+        scenarios = problem.scenarios(chunk)
+        calls += [(jnp.asarray(each), scenarios) for each in padded]
+        start += n
+    walked, m = _side_by_side(problem, walk_values, calls), len(at)
+    losses, became = [], []
+    for i, (_, n) in enumerate(pieces):
+        mine = walked[i * m : (i + 1) * m]
+        losses.append(np.stack([np.asarray(loss)[:n] for loss, _ in mine]))
+        became.append(jax.tree.map(lambda leaf, n=n: np.asarray(leaf)[:n], mine[0][1]))
+    return np.concatenate(losses, axis=1), jax.tree.map(lambda *leaf: np.concatenate(leaf), *became)
+
+
+def _side_by_side(problem: Problem, function: Any, calls: list[tuple[Array, sim.Scenario]]) -> list[Any]:
+    """Results of a compiled function for many arguments of the same shapes, one thread for each of XLA's.
+
+    The first call of all goes ahead: it compiles, which every thread would do for itself.
+    """
+    double = jnp.result_type(float) == jnp.float64  # a setting of this thread only
+
+    def one(call: tuple[Array, sim.Scenario]) -> Any:
+        with jax.enable_x64(double):
+            return jax.block_until_ready(function(problem.setting, *call))
+
+    kind = (function, calls[0][0].shape, calls[0][1].payload.mass.shape)
+    ahead = 0 if kind in problem.compiled else 1
+    found = [one(call) for call in calls[:ahead]]
+    problem.compiled.add(kind)
+    with ThreadPoolExecutor(threads()) as pool:
+        return found + list(pool.map(one, calls[ahead:]))
 
 
 def _gradient(problem: Problem, at: np.ndarray, found: list[tuple], began: float) -> Gradient:
@@ -297,8 +319,8 @@ def _gradient(problem: Problem, at: np.ndarray, found: list[tuple], began: float
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
-    """Rows in pieces of one size, LANES at most, the last one padded, and how many of a piece count."""
-    room = min(LANES, len(rows))
+    """Rows in pieces of one size, the last one padded, and how many of a piece count; a piece for every thread."""
+    room = min(LANES, -(-len(rows) // threads()))
     for start in range(0, len(rows), room):
         piece = rows[start : start + room]
         yield np.concatenate([piece, np.full(room - len(piece), piece[-1])]), len(piece)

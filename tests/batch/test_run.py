@@ -324,6 +324,16 @@ print(sum("Eigen" in name for name in names))
     assert said.stdout.strip() == "1"
 
 
+@pytest.mark.parametrize(
+    ("nproc", "expected"), [("1", 1), ("2", min(2, workers.cores())), ("", workers.cores())]
+)
+def test_as_many_functions_run_at_once_as_xla_has_threads(monkeypatch, nproc, expected):
+    monkeypatch.setenv("NPROC", nproc)
+    assert workers.threads() == expected
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert workers.threads() == 1
+
+
 def test_a_worker_forgets_what_is_compiled_for_arms_of_another_kind(surena, monkeypatch):
     one = experiment(surena)
     monkeypatch.setattr(workers, "ROOM_MIB", 0.0)
