@@ -48,10 +48,7 @@ MEANS = (pl.col("peak_pitch_deg"), pl.col("peak_roll_deg"), pl.col("end_time_s")
 def controllers(robot: Any, steps: int) -> dict[str, Controller]:
     """The arms it starts from."""
     gait = jb.planner.CosineGait.preset(robot, steps)
-    return {
-        name: Controller(gait, payload=getattr(PayloadReflex, name)(robot, gait))
-        for name in ("original", *STARTS)
-    }
+    return {name: Controller(gait, payload=getattr(PayloadReflex, name)(robot, gait)) for name in STARTS}
 
 
 def to_tune_on(
@@ -78,7 +75,7 @@ def to_try_on(start: float) -> dict[str, pl.DataFrame]:
         for name, loads in GRIDS.items()
     }
     found["other robots and grounds"] = jb.batch.draw(
-        384,
+        192,
         777,
         load_kg=Uniform(2.0, 25.0),
         load_time_s=Uniform(start + 0.1, start + 4.8),
@@ -117,7 +114,7 @@ def main() -> None:
         )
         arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, jnp.asarray(found.values))
     pairs = [(f"tuned_{name}", name) for name in arguments.start]
-    start = float(arms["original"].gait.params.T_ini)
+    start = float(arms[STARTS[0]].gait.params.T_ini)
     for number, (what, scenarios) in enumerate(to_try_on(start).items()):
         one = jb.batch.Experiment(robot, arms, scenarios, OPTIONS)
         table = jb.batch.run(

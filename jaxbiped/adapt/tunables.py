@@ -49,7 +49,7 @@ class Tunable:
 def _offset(phase: str, foot: str, row: int, column: int) -> Tunable:
     name = f"payload.x_{foot}_{phase.replace(' ', '_')}"
     what = f"how far the reflex moves the {foot} foot forward, {phase} (thesis: 0.01 forward or back)"
-    return Tunable(name, -0.05, 0.05, "m", what, (row, column))
+    return Tunable(name, -0.03, 0.03, "m", what, (row, column))
 
 
 _PHASES = ("left swings", "right swings", "both stand")

@@ -2,7 +2,8 @@
 
 A loss integrates rates over a walk and makes one number of the integrals and of the walk's last state. Rates have to be
 continuous in time: a rate that jumps at an event gives a derivative that misses the shift of the event. After a failure
-only the lean goes on, at its greatest, so that a later fall costs less; the rest is masked.
+only the lean goes on, at its greatest, so that a later fall costs less; the rest is masked. What a walk can cost is
+bounded: derivatives of walks that fall grow beyond any use, and would drown those of all others in a mean.
 """
 
 from typing import Protocol, runtime_checkable
@@ -49,6 +50,8 @@ class WalkLoss(eqx.Module):
     """Of the mean squared shortfall of the centres of pressure from 20 mm inside the soles."""
     delay: float = 0.05
     """Of the time for which the plan stood still [s]."""
+    bound: float = 5.0
+    """What a walk costs at most, see `bounded`."""
 
     def rate(self, robot: RobotParams, sample: sim.Sample, upright: Bool[Array, ""]) -> Float[Array, " m"]:
         """See `Loss`."""
@@ -72,7 +75,7 @@ class WalkLoss(eqx.Module):
     def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: float) -> Scalar:
         """See `Loss`."""
         tilt, force, impulse, margin, lean = integral
-        return (
+        cost = (
             self.tilt * tilt / duration
             + self.lean * lean / duration
             + self.force * (force + 1e-6) ** 0.25
@@ -81,6 +84,12 @@ class WalkLoss(eqx.Module):
             + self.margin * margin / duration
             + self.delay * _delay(walk)
         )
+        return bounded(cost, self.bound)
+
+
+def bounded(cost: Scalar, bound: float) -> Scalar:
+    """Half the bound where the cost is the bound; nearly the cost itself where that is small."""
+    return cost / (1.0 + cost / bound)
 
 
 _TILT, _LEAN = jnp.deg2rad(2.0), jnp.deg2rad(10.0)

@@ -89,16 +89,18 @@ class Trust:
 
     @property
     def trusted(self) -> np.ndarray:
-        """Tunables by which forward mode and smoothing agree, and it does not vary much more than smoothing (k,).
+        """Tunables by which forward mode is more than noise and agrees with smoothing (k,).
 
-        That is within three standard errors of their difference; variances are those over the scenarios.
+        It is longer than its standard error over the scenarios, varies at most twice as much as smoothing, and is
+        within three standard errors of it.
         """
         a, b = self.clipped_gradient, _clipped(self.smoothed, self.width)
         va, vb = _variance(self.forward, self.width), _variance(self.smoothed, self.width)
         error = np.sqrt(va + vb)
         largest = np.max(np.abs(b * self.width))
         small = np.maximum(np.abs(a), np.abs(b)) * self.width <= 1e-3 * largest
-        return ((np.abs(a - b) <= 3.0 * error) & (va <= 2.0 * vb)) | small
+        agree = (np.abs(a - b) <= 3.0 * error) & (va <= 2.0 * vb)
+        return (agree & (a**2 > va)) | small
 
     @property
     def mixture(self) -> np.ndarray:

@@ -1,5 +1,7 @@
 """The loss of a walk: its rates against NumPy, continuous, masked after a fall, larger the worse the walk."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from jaxbiped import planner, robot
 from jaxbiped.score import WalkLoss
+from jaxbiped.score.loss import bounded
 from jaxbiped.sim import Sample
 
 ROBOT = robot.load("surena3")
@@ -89,12 +92,20 @@ def test_margin_does_not_jump_when_a_foot_is_unloaded():
     assert np.max(np.abs(np.diff(got))) < 2e-4
 
 
+def test_what_a_walk_costs_is_bounded_and_its_slope_fades():
+    cost = jnp.asarray([0.0, 1e-3, 1.0, 5.0, 50.0, 1e6])
+    value, slope = jax.vmap(jax.value_and_grad(lambda c: bounded(c, 5.0)))(cost)
+    assert np.all(np.diff(value) > 0.0) and value[-1] < 5.0
+    assert value[3] == pytest.approx(2.5)
+    np.testing.assert_allclose(value[:2], cost[:2], rtol=1e-3)
+    np.testing.assert_allclose(slope, (1.0 + cost / 5.0) ** -2, rtol=1e-5, atol=1e-9)
+
+
 def test_rates_have_derivatives_where_nothing_is_loaded():
     def total(x):
         corners = jnp.zeros((2, 4)) + 0.0 * x
-        one = sample(roll=0.0)
-        object.__setattr__(one, "corner_force", corners)
-        object.__setattr__(one, "roll_pitch_yaw", jnp.array([0.1, 0.0, 0.0]) * x)
+        tilted = {"corner_force": corners, "roll_pitch_yaw": jnp.array([0.1, 0.0, 0.0]) * x}
+        one = dataclasses.replace(sample(roll=0.0), **tilted)
         return WalkLoss().rate(ROBOT, one, jnp.asarray(True)).sum()
 
     assert np.isfinite(jax.grad(total)(1.0))
