@@ -18,6 +18,7 @@ import tuned
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, Landing, tunables
 from jaxbiped.batch import Choice, Uniform, height_column
+from jaxbiped.commands.tune import descend
 from jaxbiped.tune import Problem, Settings
 
 STARTS = ("paper", "repaired")
@@ -37,7 +38,7 @@ MEANS = (
 def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Experiment:
     """One pad or hole of up to 5.1 cm, at heights that are not tried later; robots and grounds less far off."""
     heights: dict[str, Any] = {
-        height_column(TUNED_STEP): Choice(tuple(float(h) for h in np.linspace(-0.051, 0.051, 35)))
+        height_column(TUNED_STEP): Choice(tuple(0.00125 + 0.0025 * i for i in range(-21, 21)))
     }
     scenarios = jb.batch.draw(
         n,
@@ -94,11 +95,11 @@ def main() -> None:
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
     arms = {name: Controller(gait, landing=getattr(Landing, name)()) for name in STARTS}
-    settings = Settings(steps=arguments.steps, scenarios=arguments.batch, trust_every=15)
+    settings = Settings(steps=arguments.steps, scenarios=arguments.batch)
     for name in arguments.start:
         on, held_out = (to_tune_on(robot, arms[name], arguments.scenarios, seed) for seed in (1, 1001))
         problem, out = Problem.of(on, ["landing"]), arguments.out / f"tuned_{name}"
-        found = tuned.descend(
+        found, _ = descend(
             problem, held_out, settings, {"landing": name}, out, "python sweeps/tune_landing.py"
         )
         arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, jnp.asarray(found.values))
@@ -107,14 +108,8 @@ def main() -> None:
         pairs.append(("tuned_repaired", "paper"))
     for number, (what, scenarios) in enumerate(to_try_on().items()):
         one = jb.batch.Experiment(robot, arms, scenarios)
-        table = jb.batch.run(
-            one,
-            arguments.out / f"tried_{number}",
-            arguments.workers,
-            overwrite=True,
-            progress=jb.batch.show(),
-        )
-        tuned.print_compared(what, table, pairs, MEANS)
+        out = arguments.out / f"tried_{number}"
+        tuned.try_arms(what, one, out, arguments.workers, pairs, MEANS)
     for name in arguments.start:
         scenarios = pl.DataFrame({height_column(TUNED_STEP): HEIGHTS})
         problem = Problem.of(jb.batch.Experiment(robot, {name: arms[name]}, scenarios), ["landing"])

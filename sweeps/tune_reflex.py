@@ -18,6 +18,7 @@ import tuned
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex, tunables
 from jaxbiped.batch import Uniform
+from jaxbiped.commands.tune import descend
 from jaxbiped.report import grids
 from jaxbiped.tune import Problem, Settings
 
@@ -104,12 +105,12 @@ def main() -> None:
     arguments = parser.parse_args()
     robot = jb.robot.load("elkahlout")
     short, arms = controllers(robot, TUNE_STEPS), controllers(robot, TRY_STEPS)
-    settings = Settings(steps=arguments.steps, scenarios=arguments.batch, trust_every=20)
+    settings = Settings(steps=arguments.steps, scenarios=arguments.batch)
     for name in arguments.start:
         on = to_tune_on(robot, short[name], arguments.scenarios, 1, HORIZON)
         held_out = to_tune_on(robot, short[name], arguments.held_out, 1001)
         problem, out = Problem.of(on, NAMES), arguments.out / f"tuned_{name}"
-        found = tuned.descend(
+        found, _ = descend(
             problem, held_out, settings, {"payload": name}, out, "python sweeps/tune_reflex.py"
         )
         arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, jnp.asarray(found.values))
@@ -117,14 +118,8 @@ def main() -> None:
     start = float(arms[STARTS[0]].gait.params.T_ini)
     for number, (what, scenarios) in enumerate(to_try_on(start).items()):
         one = jb.batch.Experiment(robot, arms, scenarios, OPTIONS)
-        table = jb.batch.run(
-            one,
-            arguments.out / f"tried_{number}",
-            arguments.workers,
-            overwrite=True,
-            progress=jb.batch.show(),
-        )
-        tuned.print_compared(what, table, pairs, MEANS)
+        out = arguments.out / f"tried_{number}"
+        table = tuned.try_arms(what, one, out, arguments.workers, pairs, MEANS)
         if what in GRIDS:
             figure = grids.heat_map(
                 table, "load_kg", "load_time_s", f"elkahlout, {what}: success", offset_s=start

@@ -1,6 +1,6 @@
-"""What the sweeps that tune share: a descent into a folder, its arm, figures, and paired comparisons in words."""
+"""What the sweeps that tune share: trying arms, paired comparisons in words, sensitivity figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,32 +10,21 @@ import polars as pl
 import jaxbiped as jb
 from jaxbiped.batch import summary
 from jaxbiped.report import descents
-from jaxbiped.tune import Problem, Settings, Tuned
+from jaxbiped.tune import Problem
 
 
-def descend(
-    problem: Problem,
-    held_out: jb.batch.Experiment,
-    settings: Settings,
-    base: Mapping[str, str],
+def try_arms(
+    what: str,
+    experiment: jb.batch.Experiment,
     out: Path,
-    made_by: str,
-) -> Tuned:
-    """Tune, or go on where it was stopped; the arm stands in `out`/tuned.toml, beside its figures."""
-    print(f"{out.name}: {len(problem.tunables)} tunables, {problem.duration:.1f} s a walk", flush=True)
-    tuned = jb.tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True))
-    names, ranges = [t.name for t in problem.tunables], [(t.low, t.high) for t in problem.tunables]
-    history, title = tuned.descent.history, f"{problem.experiment.robot.name}: tuning the arm {out.name}"
-    descents.loss_curve(history, title).savefig(out / "loss.png", dpi=110)
-    descents.value_curves(history, names, ranges, title).savefig(out / "values.png", dpi=110)
-    (out / "tuned.toml").write_text(jb.tune.arm_file(tuned, base, made_by), encoding="utf-8")
-    print(
-        f"held out: loss {tuned.before['loss']:.4f} -> {tuned.after['loss']:.4f}, success "
-        f"{tuned.before['success']:.1%} -> {tuned.after['success']:.1%}; {tuned.descent.finished}"
-    )
-    for t, old, new in zip(problem.tunables, problem.start, tuned.values, strict=True):
-        print(f"  {t.name:34s} {old:9.4f} -> {new:9.4f} {t.unit}")
-    return tuned
+    workers: int | None,
+    pairs: Sequence[tuple[str, str]],
+    means: Sequence[pl.Expr],
+) -> pl.DataFrame:
+    """Walk arms in scenarios they were not tuned on, and print what is gained."""
+    table = jb.batch.run(experiment, out, workers, overwrite=True, progress=jb.batch.show())
+    print_compared(what, table, pairs, means)
+    return table
 
 
 def print_compared(

@@ -1,6 +1,7 @@
 """`jaxbiped tune`: tune an arm's few numbers by gradients, or only say how far the gradients can be trusted."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,6 +37,7 @@ HIGHEST = 0.04
 STEPS = {"payload": 4, "landing": 6}
 HORIZON = 10.0
 """Of the walks whose gradient is taken [s]."""
+ARM_FILE = "tuned.toml"
 PAD_STEP = 2
 """Step under which the pads are."""
 
@@ -63,7 +65,7 @@ class Tune:
     trust_only: bool = False
     """Only say how far the gradient at the start can be trusted; in float64, for float32 blurs finite differences."""
     x64: bool = False
-    """Descend in float64: twice as slow, and derivatives with more digits."""
+    """Descend in float64: slower, and derivatives with more digits."""
     seed: int = 0
     """Of the scenarios and of the descent."""
     out: Path = Path("runs/tune")
@@ -142,24 +144,45 @@ def _descend(
     command: Tune, problem: tune.Problem, held_out: batch.Experiment, base: dict[str, str]
 ) -> dict[str, Any]:
     settings = tune.Settings(steps=command.steps, scenarios=command.batch, seed=command.seed)
+    made_by = f"jaxbiped tune --robot {command.robot} --what {' '.join(command.what)}"
     try:
-        tuned = tune.tune(problem, held_out, command.out, settings, lambda line: print(line, flush=True))
+        tuned, files = descend(problem, held_out, settings, base, command.out, made_by)
     except ValueError as error:
         raise InputError(f"--{error}") from None
-    path = command.out / "tuned.toml"
-    made_by = f"jaxbiped tune --robot {command.robot} --what {' '.join(command.what)}"
-    path.write_text(tune.arm_file(tuned, base, made_by), encoding="utf-8")
-    figures = figures_module()
-    files = batches.save(figures, _draw(tuned, problem.experiment.robot.name), command.out)
+    path = command.out / ARM_FILE
+    print(f"{path} is an arm: jaxbiped {'payload' if 'payload' in base else 'obstacles'} --arm {path}")
+    values = {t.name: float(v) for t, v in zip(problem.tunables, tuned.values, strict=True)}
+    return {"tuned": values, "before": tuned.before, "after": tuned.after, "arm": str(path), "files": files}
+
+
+def descend(
+    problem: tune.Problem,
+    held_out: batch.Experiment,
+    settings: tune.Settings,
+    base: Mapping[str, str],
+    out: Path,
+    made_by: str,
+) -> tuple[tune.Tuned, list[str]]:
+    """Tune, or go on where it was stopped; the arm and its figures stand in `out`.
+
+    Args:
+        problem: what is tuned, on which scenarios.
+        held_out: scenarios that no step sees.
+        settings: how.
+        base: name of the arm it starts from, by stage.
+        out: folder.
+        made_by: command, for the arm's file.
+    """
+    tuned = tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True))
+    (out / ARM_FILE).write_text(tune.arm_file(tuned, base, made_by), encoding="utf-8")
+    files = batches.save(figures_module(), _draw(tuned, problem.experiment.robot.name), out)
     print(
         f"held out: loss {tuned.before['loss']:.4f} -> {tuned.after['loss']:.4f}, success "
         f"{100 * tuned.before['success']:.1f} -> {100 * tuned.after['success']:.1f} %; {tuned.descent.finished}"
     )
     for t, old, new in zip(problem.tunables, problem.start, tuned.values, strict=True):
         print(f"{t.name:36s} {old:10.4f} -> {new:10.4f} {t.unit}")
-    print(f"{path} is an arm: jaxbiped {'payload' if 'payload' in base else 'obstacles'} --arm {path}")
-    values = {t.name: float(v) for t, v in zip(problem.tunables, tuned.values, strict=True)}
-    return {"tuned": values, "before": tuned.before, "after": tuned.after, "arm": str(path), "files": files}
+    return tuned, files
 
 
 def _draw(tuned: tune.Tuned, name: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ scenarios and seeds, and antithetic Gaussian smoothing, which also sees what hap
 
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -148,25 +148,22 @@ class _Setting(eqx.Module):
     duration: float = eqx.field(static=True)
     options: sim.Options = eqx.field(static=True)
 
-    def walk(self, at: Float[Array, " k"], scenarios: sim.Scenario) -> tuple[Any, dict[str, Array]]:
-        """Walk a batch: (losses, poses), to be differentiated, and what became of the walks."""
+    def walk(self, at: Float[Array, " k"], scenario: sim.Scenario) -> tuple[Any, dict[str, Array]]:
+        """Walk once: (loss, poses), to be differentiated, and what became of the walk."""
         controller = tunables.apply(self.robot, self.controller, self.tunables, at)
         torque = make_feed_forward(self.robot, controller, self.duration, self.options)
 
         def rate(sample: sim.Sample, upright: Array) -> Array:
             return self.loss.rate(self.robot, sample, upright)
 
-        def one(scenario: sim.Scenario) -> tuple[Any, dict[str, Array]]:
-            walk = simulate(
-                self.robot, self.model, controller, scenario, torque, self.duration, self.options, rate
-            )
-            assert walk.integral is not None and walk.trace is not None
-            loss = self.loss.total(walk.integral, walk, self.duration)
-            success = judge(walk, controller.gait, scenario).success
-            became = {"status": walk.statistics.status, "success": success, "time": walk.trace.time}
-            return (loss, _poses(walk.trace)), became
-
-        return jax.vmap(one)(scenarios)
+        walk = simulate(
+            self.robot, self.model, controller, scenario, torque, self.duration, self.options, rate
+        )
+        assert walk.integral is not None and walk.trace is not None
+        loss = self.loss.total(walk.integral, walk, self.duration)
+        success = judge(walk, controller.gait, scenario).success
+        became = {"status": walk.statistics.status, "success": success, "time": walk.trace.time}
+        return (loss, _poses(walk.trace)), became
 
 
 def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
@@ -183,7 +180,7 @@ def walk_slopes(
 
     def along(unit: Array) -> tuple[Array, Array, Array, dict[str, Array]]:
         (loss, _), (slope, poses), became = jax.jvp(
-            lambda x: setting.walk(x, scenarios), (at,), (unit,), has_aux=True
+            lambda x: jax.vmap(lambda one: setting.walk(x, one))(scenarios), (at,), (unit,), has_aux=True
         )
         return loss, slope, jnp.sqrt(jnp.sum(poses**2, axis=-1)), became
 
@@ -196,12 +193,8 @@ def walk_values(
     setting: _Setting, at: Float[Array, "n k"], scenarios: sim.Scenario
 ) -> tuple[Array, dict[str, Array]]:
     """Losses (n,) of scenarios with each its own values of the tunables."""
-
-    def one(x: Array, scenario: sim.Scenario) -> tuple[Array, dict[str, Array]]:
-        (loss, _), became = setting.walk(x, jax.tree.map(lambda leaf: leaf[None], scenario))
-        return loss[0], {name: became[name][0] for name in ("status", "success")}
-
-    return jax.vmap(one)(at, scenarios)
+    (loss, _), became = jax.vmap(setting.walk)(at, scenarios)
+    return loss, became
 
 
 def value_and_grad(
@@ -228,15 +221,13 @@ def value_and_grad(
 
 def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     """Forward mode at a point."""
-    began, found, growth, times = time.perf_counter(), [], [], np.zeros(0)
-    point, pieces = jnp.asarray(at), list(_chunks(rows))
-    walked = _side_by_side(problem, walk_slopes, [(point, problem.scenarios(chunk)) for chunk, _ in pieces])
-    for (_, n), (loss, slope, norms, became) in zip(pieces, walked, strict=True):
-        found.append((loss[:n], slope[:n], became["status"][:n], became["success"][:n]))
-        growth.append(norms[:n])
-        times = np.asarray(became["time"][0])
-    made = _gradient(problem, at, found, began)
-    return dataclasses.replace(made, growth_time=times, growth=np.concatenate(growth))
+    began, n, point = time.perf_counter(), len(rows), jnp.asarray(at)
+    walked = _side_by_side(
+        problem, walk_slopes, [(point, problem.scenarios(piece)) for piece in _pieces(rows)]
+    )
+    losses, slopes, growth, became = jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *walked)
+    made = _gradient(problem, at, losses, slopes, became, began)
+    return dataclasses.replace(made, growth_time=became["time"][0], growth=growth)
 
 
 def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = None) -> Gradient:
@@ -246,7 +237,7 @@ def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = No
     points = np.concatenate([at[None], at + np.diag(width), at - np.diag(width)])
     value, became = _walked(problem, rows, np.broadcast_to(points[:, None], (2 * k + 1, n, k)))
     slope = (value[1 : k + 1] - value[k + 1 :]) / (2.0 * width)[:, None]
-    return _gradient(problem, at, [(value[0], slope.T, became["status"], became["success"])], began)
+    return _gradient(problem, at, value[0], slope.T, became, began)
 
 
 def default_widths(problem: Problem) -> np.ndarray:
@@ -266,7 +257,7 @@ def smoothed(
     value, became = _walked(problem, rows, np.concatenate([0.0 * moved[:1] + at, at + moved, at - moved]))
     difference = (value[1 : pairs + 1] - value[pairs + 1 :]) / (2.0 * sigma)
     slope = np.mean(difference[..., None] * way, axis=0) / width
-    return _gradient(problem, at, [(value[0], slope, became["status"], became["success"])], began)
+    return _gradient(problem, at, value[0], slope, became, began)
 
 
 def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -277,20 +268,15 @@ def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.nda
 
 def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Losses (m, n) of n scenarios at m points each (m, n, k), and what became of the walks at the first ones."""
-    pieces, start, calls = list(_chunks(rows)), 0, []
-    for chunk, n in pieces:
-        own = at[:, start : start + n]
-        padded = np.concatenate([own, np.repeat(own[:, -1:], len(chunk) - n, axis=1)], axis=1)
-        scenarios = problem.scenarios(chunk)
-        calls += [(jnp.asarray(each), scenarios) for each in padded]
-        start += n
-    walked, m = _side_by_side(problem, walk_values, calls), len(at)
-    losses, became = [], []
-    for i, (_, n) in enumerate(pieces):
-        mine = walked[i * m : (i + 1) * m]
-        losses.append(np.stack([np.asarray(loss)[:n] for loss, _ in mine]))
-        became.append(jax.tree.map(lambda leaf, n=n: np.asarray(leaf)[:n], mine[0][1]))
-    return np.concatenate(losses, axis=1), jax.tree.map(lambda *leaf: np.concatenate(leaf), *became)
+    (m, n, _), pieces = at.shape, _pieces(np.arange(len(rows)))
+    scenarios = [problem.scenarios(rows[piece]) for piece in pieces]
+    calls = [
+        (jnp.asarray(each[piece]), own) for each in at for piece, own in zip(pieces, scenarios, strict=True)
+    ]
+    walked = _side_by_side(problem, walk_values, calls)
+    losses = np.stack([loss for loss, _ in walked]).reshape(m, -1)[:, :n]
+    first = [became for _, became in walked[: len(pieces)]]
+    return losses, jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *first)
 
 
 def _side_by_side(problem: Problem, function: Any, calls: list[tuple[Array, sim.Scenario]]) -> list[Any]:
@@ -312,18 +298,23 @@ def _side_by_side(problem: Problem, function: Any, calls: list[tuple[Array, sim.
         return found + list(pool.map(one, calls[ahead:]))
 
 
-def _gradient(problem: Problem, at: np.ndarray, found: list[tuple], began: float) -> Gradient:
-    losses, slopes, status, success = (np.concatenate([np.asarray(f[i]) for f in found]) for i in range(4))
+def _gradient(
+    problem: Problem,
+    at: np.ndarray,
+    losses: np.ndarray,
+    slopes: np.ndarray,
+    became: dict[str, np.ndarray],
+    began: float,
+) -> Gradient:
     took = time.perf_counter() - began
-    return Gradient(problem.tunables, np.asarray(at, float), losses, slopes, status, success, took)
+    at = np.asarray(at, float)
+    return Gradient(problem.tunables, at, losses, slopes, became["status"], became["success"], took)
 
 
-def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
-    """Rows in pieces of one size, the last one padded, and how many of a piece count; a piece for every thread."""
+def _pieces(rows: np.ndarray) -> np.ndarray:
+    """Rows in pieces of one size, one for every thread and LANES at most; the last row fills up the last piece."""
     room = min(LANES, -(-len(rows) // threads()))
-    for start in range(0, len(rows), room):
-        piece = rows[start : start + room]
-        yield np.concatenate([piece, np.full(room - len(piece), piece[-1])]), len(piece)
+    return np.concatenate([rows, np.full(-len(rows) % room, rows[-1])]).reshape(-1, room)
 
 
 def _point(problem: Problem, at: Any) -> np.ndarray:
