@@ -21,6 +21,7 @@ from jaxbiped.tune.descent import Descent
         (("--what", "gait.nothing"), "gait."),
         (("--arm", "paper"), "for payload"),
         (("--what", "landing", "--arm", "modified"), "for landing"),
+        (("--arm", "nowhere.toml"), "nowhere.toml"),
         (("--scenarios", "1"), "--scenarios"),
         (("--batch", "0"), "--batch"),
         (("--steps", "0"), "--steps"),
@@ -37,13 +38,13 @@ def test_bad_input_is_refused_in_one_line(capsys, tmp_path, args, says):
 def test_the_arm_that_is_written_is_read_again(tmp_path):
     """Tunables of a stage and of the gait; the robot of the command, another number of steps."""
     command = command_tune.Tune(robot="surena3", what=("landing", "gait.H_max"), scenarios=2, out=tmp_path)
-    problem, held_out, base = command_tune.set_up(command)
+    problem, held_out, start = command_tune.set_up(command)
     assert held_out.table.height == 2 and held_out.resolved != problem.experiment.resolved
     values = 0.5 * (problem.start + np.array([t.low + t.high for t in problem.tunables]) / 2.0)
     score = {"loss": 1.0, "success": 0.5}
     tuned = tune.Tuned(problem, tune.Settings(), values, score, score, Descent(best={"step": 3}))
     path = tmp_path / "tuned.toml"
-    path.write_text(tune.arm_file(tuned, base, "jaxbiped tune"))
+    path.write_text(tune.arm_file(tuned, start, "jaxbiped tune"))
     arm: Any = load_arm("--arm", path, problem.experiment.robot, problem.controller.gait)
     np.testing.assert_allclose(
         [*(getattr(arm.landing.params, t.field) for t in problem.tunables[:-1]), arm.gait.params.H_max],
@@ -51,6 +52,27 @@ def test_the_arm_that_is_written_is_read_again(tmp_path):
         rtol=1e-6,
     )
     assert arm.landing.params.no_undershoot and arm.payload is None
+
+
+def test_tuning_goes_on_from_a_file(tmp_path):
+    """What is not tuned any more keeps its value, switches and tables too."""
+    text = "[payload]\nbase = 'modified'\nreflex_time = 0.3\nsmooth_resume = true\n"
+    text += "x_reflex = [[0.02, 0.01], [0.0, 0.0], [0.0, 0.0]]\n"
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    first.write_text(text)
+    command = command_tune.Tune(what=("payload.settling_time", "gait.b_s"), scenarios=2, arm=str(first))
+    problem, _, start = command_tune.set_up(command)
+    before: Any = problem.controller
+    assert before.payload.params.reflex_time == pytest.approx(0.3)
+    values, score = problem.start * 1.1, {"loss": 1.0, "success": 0.5}
+    tuned = tune.Tuned(problem, tune.Settings(), values, score, score, Descent(best={"step": 3}))
+    second.write_text(tune.arm_file(tuned, start, "jaxbiped tune"))
+    arm: Any = load_arm("--arm", second, problem.experiment.robot, problem.controller.gait)
+    params = arm.payload.params
+    assert params.settling_time == pytest.approx(4.4) and params.reflex_time == pytest.approx(0.3)
+    assert arm.gait.params.b_s == pytest.approx(1.1 * float(before.gait.params.b_s))
+    assert params.smooth_resume is True and not params.smooth_reflex
+    np.testing.assert_allclose(params.x_reflex, [[0.02, 0.01], [0.0, 0.0], [0.0, 0.0]], rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,19 @@ def test_arms(obstacles, payload, arms, expected):
         assert float(reflex.params.settling_time) == (2.0 if expected.reflex == "original" else 4.0)
 
 
+def test_the_file_of_an_arm_brings_its_own_gait(tmp_path):
+    file = tmp_path / "tuned.toml"
+    file.write_text(
+        "[payload]\nbase = 'modified'\nreflex_time = 0.3\n[gait]\nb_s = 0.09\n[origin]\nsteps = 3\n"
+    )
+    setup = made(payload="10@2.4", arms=str(file))
+    assert setup.arms == Arms("off", str(file)) and setup.controller.landing is None
+    reflex = setup.controller.payload
+    assert reflex is not None and float(reflex.params.reflex_time) == pytest.approx(0.3)
+    assert setup.gait is setup.controller.gait
+    assert float(setup.gait.params.b_s) == pytest.approx(0.09) != float(made().gait.params.b_s)
+
+
 def test_obstacles_and_payload_are_in_the_scenario():
     setup = made("surena3", obstacles="1:0.03 4:-0.02", payload="7.5@3")
     assert setup.obstacles == [Obstacle(1, 0.03), Obstacle(4, -0.02)]
@@ -126,6 +139,8 @@ REFUSED = [
     (["--payload", "5@2", "10@3"], ("--payload", "2 (5@2, 10@3)", "one")),
     (["--payload", "5@2", "--payload", "10@3"], ("--payload", "2 (5@2, 10@3)", "one")),
     (["--arm", "best"], ("--arm", "'best'", "off, paper, original, modified, repaired")),
+    (["--arm", "nowhere.toml"], ("--arm", "nowhere.toml")),
+    (["--arm", "off", "tuned.toml"], ("--arm", "off tuned.toml", "by itself")),
     (["--arm", "off", "paper"], ("--arm", "off paper", "one for each stage")),
     (["--arm", "original", "modified"], ("--arm", "original modified")),
     (["--arm", "paper", "paper"], ("--arm", "paper paper")),

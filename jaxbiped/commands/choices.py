@@ -1,7 +1,6 @@
 """What names on the command line stand for: gaits, simulations, arms of adaptation."""
 
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,47 +64,59 @@ def reflex_of(
     return None if name == OFF else getattr(adapt.PayloadReflex, name)(params, gait, **parameters)
 
 
-def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) -> adapt.Controller:
-    """A controller from a TOML file with the tables [landing], [payload] and [gait], any of which may be left out.
+def arm_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
+    """The tables [landing], [payload] and [gait] of the TOML file of an arm, those that it has.
 
     The first two have `base`, the name of an arm, and any of the parameters of that stage; the last one parameters of
     the gait. Other tables, as of where the numbers came from, are not read.
 
     Raises:
-        InputError: if the file cannot be read or says what cannot be meant.
+        InputError: if the file cannot be read or lacks what it must have.
     """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{argument}: got '{path}' ({error}), allowed: a TOML file of an arm") from None
-    tables: dict[str, Any] = {name: data.get(name, {"base": OFF}) for name in ("landing", "payload")}
     bases = {"landing": LANDINGS, "payload": REFLEXES}
-    if not set(data) & {*tables, "gait"}:
+    tables = {name: data[name] for name in (*bases, "gait") if name in data}
+    if not tables:
         raise InputError(
             f"{argument}: got '{path}', allowed: a file with a table [landing], [payload] or [gait]"
         )
     for name, table in tables.items():
-        base = table.get("base") if isinstance(table, Mapping) else None
-        if base not in bases[name]:
+        if not isinstance(table, dict):
+            raise InputError(f"{argument}: got {name} = {table!r} in '{path}', allowed: a table [{name}]")
+        if name in bases and table.get("base") not in bases[name]:
             raise InputError(
-                f"{argument}: got base {base!r} of [{name}] in '{path}', allowed: {', '.join(bases[name])}"
+                f"{argument}: got base {table.get('base')!r} of [{name}] in '{path}', allowed: "
+                f"{', '.join(bases[name])}"
             )
-    landing, payload = ({k: v for k, v in tables[name].items() if k != "base"} for name in tables)
+    return tables
+
+
+def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) -> adapt.Controller:
+    """A controller from the TOML file of an arm; stages that have no table are off.
+
+    Raises:
+        InputError: if the file cannot be read or says what cannot be meant.
+    """
+    tables = arm_tables(argument, path)
+    landing, payload = ({"base": OFF, **tables.get(name, {})} for name in ("landing", "payload"))
     try:
-        gait = _other_gait(data.get("gait", {}), params, gait)
+        gait = _other_gait(tables.get("gait", {}), params, gait)
         return adapt.Controller(
             gait,
-            landing=landing_of(tables["landing"]["base"], **landing),
-            payload=reflex_of(tables["payload"]["base"], params, gait, **payload),
+            landing=landing_of(landing.pop("base"), **landing),
+            payload=reflex_of(payload.pop("base"), params, gait, **payload),
         )
     except (TypeError, ValueError) as error:
         raise InputError(f"{argument}: '{path}': {error}") from None
 
 
-def _other_gait(table: Any, params: robot.RobotParams, gait: Any) -> Any:
+def _other_gait(table: dict[str, Any], params: robot.RobotParams, gait: Any) -> Any:
     """The gait with the values of a table [gait]."""
     allowed = tunables.gait_fields(gait)
-    for name, value in dict(table).items():
+    for name, value in table.items():
         if name not in allowed or not isinstance(value, int | float):
             raise ValueError(f"[gait]: got {name} = {value!r}, allowed: numbers for {', '.join(allowed)}")
     return tunables.other_gait(params, gait, {name: float(value) for name, value in table.items()})

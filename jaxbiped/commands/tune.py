@@ -19,8 +19,10 @@ from jaxbiped.commands.choices import (
     OFF,
     REFLEXES,
     REPAIRED,
+    arm_tables,
     clock_start,
     landing_of,
+    load_arm,
     make_gait,
     own_gait,
     reflex_of,
@@ -28,7 +30,7 @@ from jaxbiped.commands.choices import (
 )
 from jaxbiped.commands.common import InputError, figures_module, load_robot, make_writable, refusing
 
-WHAT_HELP = "What to tune: a stage (payload, landing), or names such as payload.settling_time, landing.T_mod, gait.x_s."
+WHAT_HELP = "What to tune: a stage (payload, landing), or names such as payload.settling_time, landing.T_mod, gait.b_s."
 BASES = {"payload": REFLEXES[1:], "landing": LANDINGS[1:]}
 LIGHTEST, HEAVIEST = 0.02, 0.2
 """Of loads, as shares of the robot's mass."""
@@ -38,6 +40,8 @@ STEPS = {"payload": 4, "landing": 6}
 HORIZON = 10.0
 """Of the walks whose gradient is taken [s]."""
 ARM_FILE = "tuned.toml"
+Tables = Mapping[str, Mapping[str, Any]]
+"""Of the file of an arm."""
 PAD_STEP = 2
 """Step under which the pads are."""
 
@@ -51,8 +55,8 @@ class Tune:
     gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
     """Default: the gait of the robot's own paper."""
     what: Annotated[tuple[str, ...], arg(help=WHAT_HELP)] = ("payload",)
-    arm: Annotated[str | None, arg(metavar="original|modified|paper|repaired")] = None
-    """The arm to start from. Default: modified for payloads, repaired for landing."""
+    arm: Annotated[str | None, arg(metavar="original|modified|paper|repaired|FILE")] = None
+    """The arm to start from: its name, or its file (.toml). Default: modified for payloads, repaired for landing."""
     scenarios: int = 64
     """Random scenarios to tune on; as many others are held out."""
     batch: int = 16
@@ -83,40 +87,51 @@ def run(command: Tune) -> dict[str, Any]:
     with refusing(command.out, "a folder that can be made and written"):
         make_writable(command.out)
     with jax.enable_x64(command.x64 or command.trust_only):
-        problem, held_out, base = set_up(command)
-        return _trust(command, problem) if command.trust_only else _descend(command, problem, held_out, base)
+        problem, held_out, start = set_up(command)
+        return _trust(command, problem) if command.trust_only else _descend(command, problem, held_out, start)
 
 
-def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, dict[str, str]]:
-    """The problem, the scenarios held out, and the named arm it starts from by stage."""
+def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
+    """The problem, the scenarios held out, and the tables of the arm it starts from."""
     params = load_robot("--robot", command.robot)
     stages = {name.split(".")[0] for name in command.what} & set(BASES) or {"payload"}
     gait = make_gait(params, command.gait or own_gait(params), max(STEPS[s] for s in stages))
-    defaults = {"payload": MODIFIED, "landing": REPAIRED}
-    base = {s: command.arm or defaults[s] for s in stages}
-    for stage, name in base.items():
-        if name not in BASES[stage]:
-            raise InputError(f"--arm: got '{name}', allowed: {', '.join(BASES[stage])} for {stage}")
-    arm = adapt.Controller(
-        gait,
-        landing=landing_of(base.get("landing", OFF)),
-        payload=reflex_of(base.get("payload", OFF), params, gait),
-    )
+    start, arm = _start(command, params, gait, stages)
     made = [
         batches.experiment(
             params,
             {command.arm or "tuned": arm},
-            _scenarios(command, params, gait, stages, command.seed + 1000 * held),
-            simulation_options(params, gait),
+            _scenarios(command, params, arm.gait, stages, command.seed + 1000 * held),
+            simulation_options(params, arm.gait),
             duration=horizon if command.duration is None else command.duration,
             seed=command.seed,
         )
         for held, horizon in ((0, HORIZON), (1, None))
     ]
     try:
-        return tune.Problem.of(made[0], command.what), made[1], base
+        return tune.Problem.of(made[0], command.what), made[1], start
     except ValueError as error:
         raise InputError(f"--what: {error}") from None
+
+
+def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tables, adapt.Controller]:
+    """The arm it starts from: its tables and the controller."""
+    if command.arm and command.arm.endswith(".toml"):
+        path = Path(command.arm)
+        return arm_tables("--arm", path), load_arm("--arm", path, params, gait)
+    defaults = {"payload": MODIFIED, "landing": REPAIRED}
+    base = {stage: command.arm or defaults[stage] for stage in stages}
+    for stage, name in base.items():
+        if name not in BASES[stage]:
+            raise InputError(
+                f"--arm: got '{name}', allowed: {', '.join(BASES[stage])} for {stage}, or a file that ends in .toml"
+            )
+    arm = adapt.Controller(
+        gait,
+        landing=landing_of(base.get("landing", OFF)),
+        payload=reflex_of(base.get("payload", OFF), params, gait),
+    )
+    return {stage: {"base": name} for stage, name in base.items()}, arm
 
 
 def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: int) -> Any:
@@ -141,16 +156,17 @@ def _trust(command: Tune, problem: tune.Problem) -> dict[str, Any]:
 
 
 def _descend(
-    command: Tune, problem: tune.Problem, held_out: batch.Experiment, base: dict[str, str]
+    command: Tune, problem: tune.Problem, held_out: batch.Experiment, start: Tables
 ) -> dict[str, Any]:
     settings = tune.Settings(steps=command.steps, scenarios=command.batch, seed=command.seed)
     made_by = f"jaxbiped tune --robot {command.robot} --what {' '.join(command.what)}"
+    made_by += f" --arm {command.arm}" if command.arm else ""
     try:
-        tuned, files = descend(problem, held_out, settings, base, command.out, made_by)
+        tuned, files = descend(problem, held_out, settings, start, command.out, made_by)
     except ValueError as error:
         raise InputError(f"--{error}") from None
     path = command.out / ARM_FILE
-    print(f"{path} is an arm: jaxbiped {'payload' if 'payload' in base else 'obstacles'} --arm {path}")
+    print(f"{path} is an arm: jaxbiped {'payload' if 'payload' in start else 'obstacles'} --arm {path}")
     values = {t.name: float(v) for t, v in zip(problem.tunables, tuned.values, strict=True)}
     return {"tuned": values, "before": tuned.before, "after": tuned.after, "arm": str(path), "files": files}
 
@@ -159,7 +175,7 @@ def descend(
     problem: tune.Problem,
     held_out: batch.Experiment,
     settings: tune.Settings,
-    base: Mapping[str, str],
+    start: Tables,
     out: Path,
     made_by: str,
 ) -> tuple[tune.Tuned, list[str]]:
@@ -169,12 +185,12 @@ def descend(
         problem: what is tuned, on which scenarios.
         held_out: scenarios that no step sees.
         settings: how.
-        base: name of the arm it starts from, by stage.
+        start: tables of the arm it starts from, see `tune.arm_file`.
         out: folder.
         made_by: command, for the arm's file.
     """
     tuned = tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True))
-    (out / ARM_FILE).write_text(tune.arm_file(tuned, base, made_by), encoding="utf-8")
+    (out / ARM_FILE).write_text(tune.arm_file(tuned, start, made_by), encoding="utf-8")
     files = batches.save(figures_module(), _draw(tuned, problem.experiment.robot.name), out)
     print(
         f"held out: loss {tuned.before['loss']:.4f} -> {tuned.after['loss']:.4f}, success "

@@ -33,7 +33,8 @@ PAYLOAD_HELP = (
 ARM_HELP = (
     "Which adaptation is on. Landing: paper (to the letter) or repaired. Payload reflex: original (settles 2 s), "
     "modified (settles 4 s) or repaired. 'repaired' is for every stage that no other word is for; a stage without a "
-    "word is off. Default: landing repaired if there are obstacles, reflex modified if there is a payload."
+    "word is off. Or the file of an arm (.toml), by itself. Default: landing repaired if there are obstacles, reflex "
+    "modified if there is a payload."
 )
 
 

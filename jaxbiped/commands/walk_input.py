@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from jaxbiped.commands.choices import (
     PAPER,
     REPAIRED,
     landing_of,
+    load_arm,
     make_gait,
     own_gait,
     reflex_of,
@@ -54,9 +56,9 @@ class Arms:
     """Which version of each stage of adaptation is on."""
 
     landing: str
-    """off, paper or repaired."""
+    """off, paper, repaired, or the file of an arm."""
     reflex: str
-    """off, original, modified or repaired."""
+    """off, original, modified, repaired, or the file of an arm."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +93,18 @@ def set_up(
     """
     params = load_robot("--robot", robot_name)
     gait_name = gait_name or own_gait(params)
-    gait = make_gait(params, gait_name, steps)
+    gait, words = make_gait(params, gait_name, steps), list(arms)
+    of_file = _of_file(words, params, gait)
+    gait = gait if of_file is None else of_file.gait
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
-    chosen = _arms(list(arms), bool(pads), load is not None)
-    controller = adapt.Controller(
-        gait, landing=landing_of(chosen.landing), payload=reflex_of(chosen.reflex, params, gait)
-    )
+    if of_file is None:
+        chosen = _arms(words, bool(pads), load is not None)
+        controller = adapt.Controller(
+            gait, landing=landing_of(chosen.landing), payload=reflex_of(chosen.reflex, params, gait)
+        )
+    else:
+        controller, stages = of_file, (of_file.landing, of_file.payload)
+        chosen = Arms(*(OFF if stage is None else words[0] for stage in stages))
     options = simulation_options(params, gait)
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     return Setup(
@@ -175,11 +183,20 @@ def _load(words: Iterable[str], gait: Any, params: robot.RobotParams) -> Load | 
     return Load(mass, time)
 
 
+def _of_file(words: list[str], params: robot.RobotParams, gait: Any) -> adapt.Controller | None:
+    """The controller of an arm's file, with its own gait; None if the words name no file."""
+    if not any(word.endswith(".toml") for word in words):
+        return None
+    if len(words) > 1:
+        raise InputError(f"--arm: got {' '.join(words)}, allowed: a file (.toml) by itself")
+    return load_arm("--arm", Path(words[0]), params, gait)
+
+
 def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
     """Without words: what the walk calls for. `repaired` stands for whichever stage no other word is for."""
     for word in words:
         if word not in ARMS:
-            raise InputError(f"--arm: got '{word}', allowed: {', '.join(ARMS)}")
+            raise InputError(f"--arm: got '{word}', allowed: {', '.join(ARMS)}, or a file that ends in .toml")
     if not words:
         return Arms(REPAIRED if has_obstacles else OFF, MODIFIED if has_load else OFF)
     reflexes = [word for word in words if word in REFLEX_ARMS]

@@ -2,27 +2,27 @@
 
 from collections.abc import Mapping
 from importlib import metadata
+from typing import Any
 
 from jaxbiped.adapt import tunables
 from jaxbiped.tune.descent import Tuned
 
 
-def arm_file(tuned: Tuned, base: Mapping[str, str], made_by: str) -> str:
-    """Text of the file.
+def arm_file(tuned: Tuned, start: Mapping[str, Mapping[str, Any]], made_by: str) -> str:
+    """Text of the file: the tables of the arm it started from, with the tuned values in them.
 
     Args:
         tuned: the outcome of a descent.
-        base: name of the arm it started from, by stage (`landing`, `payload`).
+        start: tables of the arm it started from: `base`, the name of an arm, and parameters, by stage (`landing`,
+            `payload`); parameters of the gait.
         made_by: command that made it.
     """
     problem, settings = tuned.problem, tuned.settings
-    tables = tunables.as_tables(problem.controller, problem.tunables, tuned.values.tolist())
+    new = tunables.as_tables(problem.controller, problem.tunables, tuned.values.tolist())
     lines = [f"# Tuned by: {made_by}", ""]
-    for stage in dict.fromkeys([*base, *tables]):
-        lines.append(f"[{stage}]")
-        lines += [f"base = '{base[stage]}'"] if stage in base else []
-        lines += [f"{name} = {value}" for name, value in tables.get(stage, {}).items()]
-        lines.append("")
+    for name in dict.fromkeys([*start, *new]):
+        table = {**start.get(name, {}), **new.get(name, {})}
+        lines += [f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), ""]
     origin = {
         "jaxbiped": metadata.version("jaxbiped"),
         "robot": problem.experiment.robot.name,
@@ -36,5 +36,12 @@ def arm_file(tuned: Tuned, base: Mapping[str, str], made_by: str) -> str:
         "held_out_success": tuned.after["success"],
     }
     lines.append("[origin]")
-    lines += [f"{k} = {v!r}" for k, v in origin.items()]
+    lines += [f"{key} = {_toml(value)}" for key, value in origin.items()]
     return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A number, a word, a truth value, or a list of them."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list | tuple) else repr(value)
