@@ -100,7 +100,7 @@ def main() -> None:
         on, held_out = (to_tune_on(robot, arms[name], arguments.scenarios, seed) for seed in (1, 1001))
         problem, out = Problem.of(on, ["landing"]), arguments.out / f"tuned_{name}"
         found, _ = descend(
-            problem, held_out, settings, {"landing": name}, out, "python sweeps/tune_landing.py"
+            problem, held_out, settings, {"landing": {"base": name}}, out, "python sweeps/tune_landing.py"
         )
         arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, jnp.asarray(found.values))
     pairs = [(f"tuned_{name}", name) for name in arguments.start]

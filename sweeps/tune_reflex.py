@@ -1,43 +1,59 @@
 """Tune elkahlout's payload reflex, and say what that buys under loads, times, masses and frictions not tuned on.
 
-Tuned on random loads, times, frictions and trunk masses, starting from the thesis' modified reflex and from the
-repaired one. Tried on the thesis' grid, on heavier loads, and on robots and grounds further off.
+Tuned on random loads, times, frictions and trunk masses, in two rounds: the reflex by walks that end while the robot
+stands and settles, for most falls come then; after that all of it by whole walks. Tried on the thesis' grid, on heavier
+loads, and on robots and grounds further off.
 
     python sweeps/tune_reflex.py --out runs/tune_reflex
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import polars as pl
 import tuned
 
 import jaxbiped as jb
-from jaxbiped.adapt import Controller, PayloadReflex, tunables
+from jaxbiped.adapt import Controller, PayloadReflex
 from jaxbiped.batch import Uniform
-from jaxbiped.commands.tune import descend
+from jaxbiped.commands.choices import arm_tables, load_arm
+from jaxbiped.commands.tune import ARM_FILE, descend
 from jaxbiped.report import grids
 from jaxbiped.tune import Problem, Settings
 
 STARTS = ("modified", "repaired")
 TUNE_STEPS, TRY_STEPS = 4, 7
 """Steps of the walks that are tuned on, and of those of the thesis' grid."""
-HORIZON = 20.0
-"""Of the walks that are tuned on [s]; others go on to their verdict. Shorter ones teach the robot to stand still."""
-NAMES = (
+REFLEX = (
     *(
         f"payload.x_{foot}_{phase}"
         for phase in ("left_swings", "right_swings", "both_stand")
         for foot in ("left", "right")
     ),
     "payload.reflex_time",
-    "payload.settling_time",
-    "payload.x_ref_gain",
-    "payload.zmp_balanced",
 )
+SHIFT = ("payload.x_ref_gain", "payload.zmp_balanced")
+
+
+class Round(NamedTuple):
+    """One descent; the next one starts where it ended."""
+
+    names: tuple[str, ...]
+    """What is tuned. Not the settling time: who stands still until the walk's end does not fall."""
+    horizon: float
+    """Of the walks whose gradient is taken [s]."""
+    held_out: float | None
+    """Of the walks that say which values are best [s]; None: until their verdict."""
+    scenarios: int
+    rate: float
+    steps: int
+
+
+ROUNDS = (Round(REFLEX, 9.5, 9.5, 128, 0.15, 25), Round(REFLEX + SHIFT, 21.0, None, 96, 0.08, 10))
+"""Within 9.5 s most falls happen, and no robot walks on yet, so none of these walks has a verdict: success 0 %."""
 TIMES = tuple(round(0.1 * i, 1) for i in range(1, 49))
 """The thesis' time [s]."""
 GRIDS = {"the thesis' grid": (2.5, 5.0, 7.5, 10.0, 12.5, 15.0), "heavier": (17.5, 20.0, 22.5, 25.0)}
@@ -46,10 +62,10 @@ OPTIONS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="the
 MEANS = (pl.col("peak_pitch_deg"), pl.col("peak_roll_deg"), pl.col("end_time_s"))
 
 
-def controllers(robot: Any, steps: int) -> dict[str, Controller]:
+def controllers(robot: Any, names: Sequence[str], steps: int) -> dict[str, Controller]:
     """The arms it starts from."""
     gait = jb.planner.CosineGait.preset(robot, steps)
-    return {name: Controller(gait, payload=getattr(PayloadReflex, name)(robot, gait)) for name in STARTS}
+    return {name: Controller(gait, payload=getattr(PayloadReflex, name)(robot, gait)) for name in names}
 
 
 def to_tune_on(
@@ -90,32 +106,44 @@ def to_try_on(start: float) -> dict[str, pl.DataFrame]:
     return found
 
 
+def tune_from(name: str, robot: Any, start: Controller, arguments: argparse.Namespace) -> Path:
+    """Both rounds; the file of the arm."""
+    tables: Any = {"payload": {"base": name}}
+    arm, file = start, Path()
+    for number, one in enumerate(ROUNDS):
+        print(
+            f"{name}, round {number + 1}: {len(one.names)} tunables by walks of {one.horizon:g} s", flush=True
+        )
+        problem = Problem.of(to_tune_on(robot, arm, one.scenarios, 1 + number, one.horizon), one.names)
+        held_out = to_tune_on(robot, arm, arguments.held_out, 1001 + number, one.held_out)
+        steps = arguments.steps or one.steps
+        settings = Settings(steps=steps, scenarios=arguments.batch, rate=one.rate, patience=10)
+        out = arguments.out / f"{name}_{number + 1}"
+        descend(problem, held_out, settings, tables, out, "python sweeps/tune_reflex.py")
+        file = out / ARM_FILE
+        tables, arm = arm_tables("--start", file), load_arm("--start", file, robot, start.gait)
+    return file
+
+
 def main() -> None:
     """Tune from every start, try every arm."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=Path("runs/tune_reflex"))
-    parser.add_argument("--start", nargs="*", choices=STARTS, default=STARTS[:1], help="arms to start from")
-    parser.add_argument("--scenarios", type=int, default=96, help="to tune on")
-    parser.add_argument("--held-out", type=int, default=48, help="scenarios that say when to stop")
-    parser.add_argument("--batch", type=int, default=16, help="scenarios in a step")
-    parser.add_argument("--steps", type=int, default=15)
+    parser.add_argument("--start", nargs="+", choices=STARTS, default=STARTS[:1], help="arms to start from")
+    parser.add_argument("--held-out", type=int, default=64, help="scenarios that say when to stop")
+    parser.add_argument("--batch", type=int, default=24, help="scenarios in a step")
+    parser.add_argument("--steps", type=int, help="of each round, instead of its own number")
     parser.add_argument("--workers", type=int)
     arguments = parser.parse_args()
     robot = jb.robot.load("elkahlout")
-    short, arms = controllers(robot, TUNE_STEPS), controllers(robot, TRY_STEPS)
-    settings = Settings(steps=arguments.steps, scenarios=arguments.batch)
+    short, arms = (controllers(robot, arguments.start, steps) for steps in (TUNE_STEPS, TRY_STEPS))
     for name in arguments.start:
-        on = to_tune_on(robot, short[name], arguments.scenarios, 1, HORIZON)
-        held_out = to_tune_on(robot, short[name], arguments.held_out, 1001)
-        problem, out = Problem.of(on, NAMES), arguments.out / f"tuned_{name}"
-        found, _ = descend(
-            problem, held_out, settings, {"payload": name}, out, "python sweeps/tune_reflex.py"
-        )
-        arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, jnp.asarray(found.values))
+        file = tune_from(name, robot, short[name], arguments)
+        arms[f"tuned_{name}"] = load_arm("--start", file, robot, arms[name].gait)
     pairs = [(f"tuned_{name}", name) for name in arguments.start]
-    start = float(arms[STARTS[0]].gait.params.T_ini)
+    start = float(arms[arguments.start[0]].gait.params.T_ini)
     for number, (what, scenarios) in enumerate(to_try_on(start).items()):
         one = jb.batch.Experiment(robot, arms, scenarios, OPTIONS)
         out = arguments.out / f"tried_{number}"
@@ -126,12 +154,13 @@ def main() -> None:
             )
             figure.savefig(arguments.out / f"success_{number}.png", dpi=110)
             print(summary_by_load(table))
-    times = np.array(TIMES)
     for name in arguments.start:
-        grid = jb.batch.grid(load_kg=10.0, load_time_s=(start + times).tolist())
-        problem = Problem.of(jb.batch.Experiment(robot, {name: arms[name]}, grid, OPTIONS), NAMES)
+        grid = jb.batch.grid(load_kg=10.0, load_time_s=[start + t for t in TIMES])
+        one = jb.batch.Experiment(robot, {name: arms[name]}, grid, OPTIONS, duration=ROUNDS[0].horizon)
         title, file = f"elkahlout, arm {name}, 10 kg", arguments.out / f"sensitivity_{name}.png"
-        tuned.sensitivity(problem, times, "the thesis' time of the load [s]", title, file)
+        tuned.sensitivity(
+            Problem.of(one, REFLEX), np.array(TIMES), "the thesis' time of the load [s]", title, file
+        )
 
 
 def summary_by_load(table: pl.DataFrame) -> str:
