@@ -130,14 +130,14 @@ def _advance(
     """One step: look at the held-out scenarios, report on trust, descend."""
     at = to_values(problem, np.asarray(state.z))
     entry: dict[str, Any] = {"step": state.step, "at": at.tolist()}
-    if state.step % settings.held_out_every == 0 or state.step == settings.steps:
+    if state.step % settings.held_out_every == 0 or state.step >= settings.steps:
         entry |= held_out_score(judge, at)
         if not state.best or entry["held_out_loss"] < state.best["held_out_loss"]:
             state.best = dict(entry)
         looks = [h["step"] for h in [*state.history, entry] if "held_out_loss" in h]
         if sum(step > state.best["step"] for step in looks) >= settings.patience:
             state.finished = f"no smaller held-out loss in {settings.patience} looks"
-    if state.step == settings.steps:
+    if state.step >= settings.steps:
         state.finished = state.finished or f"{settings.steps} steps"
     if not state.finished:
         entry |= _descend(state, problem, settings, at)

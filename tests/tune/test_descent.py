@@ -111,6 +111,16 @@ def test_more_steps_go_on(bowl, problem, tmp_path):
     np.testing.assert_allclose(parts.descent.z, whole.descent.z, rtol=1e-6)
 
 
+def test_fewer_steps_than_were_made_end_it(bowl, problem, tmp_path):
+    def stop(line):
+        if line.startswith("step   6"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        descent.tune(problem, problem.experiment, tmp_path, replace(SETTINGS, steps=12), stop)
+    assert descent.tune(problem, problem.experiment, tmp_path, replace(SETTINGS, steps=4)).descent.step == 7
+
+
 def test_the_folder_of_another_descent_is_refused(bowl, problem, tmp_path):
     descent.tune(problem, problem.experiment, tmp_path, replace(SETTINGS, steps=2))
     with pytest.raises(ValueError, match="another descent"):
