@@ -1,8 +1,8 @@
 """Tune elkahlout's payload reflex, and say what that buys under loads, times, masses and frictions not tuned on.
 
 Tuned on random loads, times, frictions and trunk masses, in two rounds: the reflex by walks that end while the robot
-stands and settles, for most falls come then; after that the shift of x_ref by whole walks. Tried on the thesis' grid, on heavier
-loads, and on robots and grounds further off.
+stands and settles, for most falls come then; after that the shift of x_ref by whole walks. Tried on the thesis' grid,
+on heavier loads, and on robots and grounds further off.
 
     python sweeps/tune_reflex.py --out runs/tune_reflex
 """
