@@ -22,6 +22,8 @@ from jaxbiped.commands.tune import descend
 from jaxbiped.tune import Problem, Settings
 
 STARTS = ("paper", "repaired")
+LOSS = jb.score.WalkLoss(bound=50.0)
+"""A fall costs ten soft walks: bounded as tightly as for payloads, a few falls would buy softer landings."""
 STEPS, TUNED_STEP, TRIED_STEPS = 6, 2, (1, 3)
 HEIGHTS = tuple(round(0.0025 * i, 4) for i in range(-20, 21) if i)
 """[m]"""
@@ -89,16 +91,16 @@ def main() -> None:
     parser.add_argument("--start", nargs="*", choices=STARTS, default=STARTS, help="arms to start from")
     parser.add_argument("--scenarios", type=int, default=96, help="to tune on; as many are held out")
     parser.add_argument("--batch", type=int, default=24, help="scenarios in a step")
-    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--workers", type=int)
     arguments = parser.parse_args()
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
     arms = {name: Controller(gait, landing=getattr(Landing, name)()) for name in STARTS}
-    settings = Settings(steps=arguments.steps, scenarios=arguments.batch)
+    settings = Settings(steps=arguments.steps, scenarios=arguments.batch, rate=0.1)
     for name in arguments.start:
         on, held_out = (to_tune_on(robot, arms[name], arguments.scenarios, seed) for seed in (1, 1001))
-        problem, out = Problem.of(on, ["landing"]), arguments.out / f"tuned_{name}"
+        problem, out = Problem.of(on, ["landing"], LOSS), arguments.out / f"tuned_{name}"
         found, _ = descend(
             problem, held_out, settings, {"landing": {"base": name}}, out, "python sweeps/tune_landing.py"
         )
