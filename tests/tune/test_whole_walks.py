@@ -10,8 +10,7 @@ from jaxbiped.tune import central, forward
 MADE = {"surena3": landing, "elkahlout": payload}
 STEPS = (1e-3, 1e-4, 1e-5)
 """Of central differences, as shares of each tunable."""
-LOOSE = {("elkahlout", 16.0): 0.03}
-"""Median allowed at the middle step where it is not 0.02: 0.0227 measured, nearly all of it by `reflex_time`."""
+NOT_MET = {("elkahlout", 16.0): "2.27 % at 1e-4: reflex_time, whose thousandth is a fifth of a tick"}
 AT_LEAST = 20
 """Walks that survive."""
 
@@ -54,8 +53,10 @@ def test_forward_mode_is_that_of_central_differences(name, duration):
                 )
     medians = [np.nanmedian(found[step]) for step in STEPS]
     assert medians[0] > medians[1] > medians[2]
-    assert medians[1] < LOOSE.get((name, duration), 0.02)
     assert medians[2] < 0.02 and np.nanpercentile(found[STEPS[2]], 90) < 0.1
+    if medians[1] >= 0.02 and (name, duration) in NOT_MET:
+        pytest.xfail(NOT_MET[name, duration])
+    assert medians[1] < 0.02
 
 
 @pytest.mark.slow
