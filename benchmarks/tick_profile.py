@@ -21,7 +21,7 @@ import jax.numpy as jnp  # noqa: E402
 
 from jaxbiped import planner, robot, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
-from jaxbiped.sim import ground, mjx_adapter, plant, statistics  # noqa: E402
+from jaxbiped.sim import compiling, ground, mjx_adapter, plant, statistics  # noqa: E402
 from jaxbiped.sim.rollout import make_feed_forward, servo_reference  # noqa: E402
 
 DT = 5e-4
@@ -82,6 +82,13 @@ def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
     }
 
 
+def microseconds(function: Any, arguments: tuple, options: dict[str, Any]) -> tuple[float, float]:
+    """Time of a batch [us], and floating-point operations in it."""
+    compiled = jax.jit(jax.vmap(function), compiler_options=options).lower(*arguments).compile()
+    seconds = common.median_seconds(lambda: jax.block_until_ready(compiled(*arguments)), REPEATS, 0.05)
+    return 1e6 * seconds, float((compiled.cost_analysis() or {}).get("flops", 0.0))
+
+
 def main() -> None:
     """Time every piece and print one line each."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -90,16 +97,12 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
     options = parser.parse_args()
     result: dict[str, float] = {}
-    flops = 0.0
+    function, arguments, flops = None, (), 0.0
     for name, (function, arguments) in pieces(options.robot, options.batch).items():
-        compiled = jax.jit(jax.vmap(function)).lower(*arguments).compile()
-        flops = float((compiled.cost_analysis() or {}).get("flops", 0.0))
-
-        def call(compiled: Any = compiled, arguments: Any = arguments) -> Any:
-            return jax.block_until_ready(compiled(*arguments))
-
-        result[name] = 1e6 * common.median_seconds(call, REPEATS, 0.05)
+        result[name], flops = microseconds(function, arguments, compiling.options())
         print(f"{name:42s} {result[name]:8.0f} us for {options.batch} lanes", flush=True)
+    plain, _ = microseconds(function, arguments, {})
+    print(f"{'tick without the options of sim.compiling':42s} {plain:8.0f} us", flush=True)
     square = jax.random.normal(jax.random.key(2), (1024, 1024))
     product = eqx.filter_jit(lambda a: a @ a)
     limit = 2 * 1024**3 / common.median_seconds(lambda: jax.block_until_ready(product(square)), REPEATS, 0.05)
@@ -108,7 +111,16 @@ def main() -> None:
         f"the tick takes {flops / options.batch:.0f} operations a lane, {100 * share:.1f} % of the core's limit"
     )
     if options.json:
-        print(json.dumps({"microseconds": result, "flops_per_lane": flops / options.batch, "share": share}))
+        print(
+            json.dumps(
+                {
+                    "microseconds": result,
+                    "plain_tick": plain,
+                    "flops_per_lane": flops / options.batch,
+                    "share": share,
+                }
+            )
+        )
 
 
 if __name__ == "__main__":

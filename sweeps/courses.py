@@ -22,7 +22,6 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -151,7 +150,7 @@ def scenarios(one: Setup, chosen: list[Course]) -> list[jb.sim.Scenario]:
     return [scenario(course) for course in chosen]
 
 
-@eqx.filter_jit
+@jb.sim.jit_walks
 def _batch(one: Setup, model: Any, controller: jb.adapt.Controller, batch: jb.sim.Scenario) -> Any:
     options = jb.sim.Options()
     table = make_feed_forward(one.robot, controller, one.duration, options)

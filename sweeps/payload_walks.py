@@ -6,7 +6,6 @@ python sweeps/payload_walks.py --c
 import argparse
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +31,7 @@ def walks(robot: Any, controller: Any, scenarios: list[Any], duration: float, op
     """All scenarios at once: walks and verdicts with a leading axis."""
     model = mjx_adapter.base_model(robot)
 
-    @eqx.filter_jit
+    @jb.sim.jit_walks
     def go(controller: Any, batch: Any) -> Any:
         table = make_feed_forward(robot, controller, duration, options)
 

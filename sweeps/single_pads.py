@@ -6,7 +6,6 @@ python sweeps/single_pads.py
 import argparse
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,7 +36,7 @@ def main() -> None:
     model, options = mjx_adapter.base_model(robot), jb.sim.Options()
     duration = float(gait.duration) + 0.5
 
-    @eqx.filter_jit
+    @jb.sim.jit_walks
     def walk(controller: jb.adapt.Controller, batch: jb.sim.Scenario) -> jb.sim.Statistics:
         table = make_feed_forward(robot, controller, duration, options)
         return jax.vmap(

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +13,7 @@ from jaxbiped.batch import inputs
 from jaxbiped.batch.experiment import Chunk, Experiment
 from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.score import STATUS_TEXT, judge
-from jaxbiped.sim import Options, Scenario, Walk, simulate
+from jaxbiped.sim import Options, Scenario, Walk, jit_walks, simulate
 from jaxbiped.sim.rollout import base_model, make_feed_forward
 
 Columns = dict[str, Array]
@@ -40,7 +39,7 @@ def walk_chunk(experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
     return pl.concat([_identity(chunk), table[:n], outcome_frame(outcome)], how="horizontal")
 
 
-@eqx.filter_jit
+@jit_walks
 def _walk_batch(
     robot: RobotParams,
     model: Any,

@@ -1,5 +1,6 @@
 """Simulator: the only room that imports MuJoCo."""
 
+from jaxbiped.sim.compiling import jit_walks
 from jaxbiped.sim.model import build_model, build_spec, write_mjcf
 from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.rollout import Options, Sample, Walk, rollout, simulate
@@ -15,6 +16,7 @@ __all__ = [
     "Walk",
     "build_model",
     "build_spec",
+    "jit_walks",
     "open_loop_references",
     "replay_c",
     "rollout",

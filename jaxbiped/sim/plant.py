@@ -143,16 +143,23 @@ def acceleration(forces: Forces) -> Float[Array, "18"]:
     Differentiated through inverse dynamics: what a change leaves of `balance` must be made good by the acceleration.
     Neither the inertia matrix nor the elimination is differentiated.
     """
-    body, torque = forces.body, forces.torque.reshape(-1)
-    force = (contact_force(body, forces.contact) + forces.push - body.bias).at[FREE_DOFS:].add(torque)
-    return mjx_adapter.solve(_matrix(forces), force)
+    return mjx_adapter.solve(_matrix(forces), _force(forces))
 
 
 @acceleration.defjvp
 def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, "18"], Float[Array, "18"]]:
-    qacc = acceleration(*primals)
+    inverse = mjx_adapter.inverse(
+        _matrix(*primals)
+    )  # one elimination for the acceleration and all its tangents
+    qacc = inverse.times(_force(*primals))
     _, left = jax.jvp(lambda forces: balance(forces, qacc), primals, tangents)
-    return qacc, mjx_adapter.inverse(_matrix(*primals)).times(left)
+    return qacc, inverse.times(left)
+
+
+def _force(forces: Forces) -> Float[Array, "18"]:
+    """Joint-space force at the velocity of the start of the tick."""
+    body, torque = forces.body, forces.torque.reshape(-1)
+    return (contact_force(body, forces.contact) + forces.push - body.bias).at[FREE_DOFS:].add(torque)
 
 
 def _matrix(forces: Forces) -> mjx_adapter.JointMatrix:

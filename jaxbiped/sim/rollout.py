@@ -27,6 +27,7 @@ from jaxbiped.sim import (
     sensors,
     statistics,
 )
+from jaxbiped.sim.compiling import jit_walks
 from jaxbiped.sim.feed_forward import FeedForward
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
@@ -169,7 +170,7 @@ def base_model(robot: RobotParams, scenario: Scenario, options: Options) -> Any:
     return mjx_contacts.base_model(robot, scenario.terrain.height.shape[-1], options.dt)
 
 
-@eqx.filter_jit
+@jit_walks
 def _compiled(
     robot: RobotParams,
     model: Any,

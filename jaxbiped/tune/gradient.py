@@ -172,7 +172,7 @@ def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
     return jnp.concatenate([trace.p_world_trunk, trace.roll_pitch_yaw, soles], axis=-1)
 
 
-@eqx.filter_jit
+@sim.jit_walks
 def walk_slopes(
     setting: _Setting, at: Float[Array, " k"], scenarios: sim.Scenario
 ) -> tuple[Array, Array, Array, dict[str, Array]]:
@@ -188,7 +188,7 @@ def walk_slopes(
     return jax.vmap(along, out_axes=(None, 1, 2, None))(units)
 
 
-@eqx.filter_jit
+@sim.jit_walks
 def walk_values(
     setting: _Setting, at: Float[Array, "n k"], scenarios: sim.Scenario
 ) -> tuple[Array, dict[str, Array]]:
