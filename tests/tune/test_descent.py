@@ -168,6 +168,30 @@ def test_signs_and_cosine(problem):
     assert one.trusted.tolist() == [True, False]
 
 
+@pytest.mark.parametrize(
+    ("forward", "smoothed", "trusted"),
+    [
+        pytest.param((1.0, 1.0), (1.1, 1.0), True, id="one standard error apart"),
+        pytest.param((0.11, 1.0), (0.1, 1.0), True, id="just longer than its own error"),
+        pytest.param((0.09, 1.0), (0.1, 1.0), False, id="shorter than its own error"),
+        pytest.param((1.0, 1.0), (1.6, 1.0), False, id="more than three standard errors apart"),
+        pytest.param((1.0, 1.4), (1.0, 1.0), True, id="varies less than twice as much"),
+        pytest.param((1.0, 1.5), (1.0, 1.0), False, id="varies more than twice as much"),
+        pytest.param((1e-4, 1e-2), (-1e-4, 1e-2), True, id="of no consequence"),
+    ],
+)
+def test_what_is_trusted(problem, forward, smoothed, trusted):
+    """By mean and spread over 100 scenarios: a spread of 1 is a standard error of 0.1."""
+
+    def spread(mean, size):
+        sign = np.where(np.arange(100) % 2, 1.0, -1.0)
+        return of(np.column_stack([mean + size * sign, np.ones(100)]))
+
+    one = report(problem, spread(*forward), spread(*smoothed), spread(*smoothed))
+    assert one.share_clipped == 0.0
+    assert one.trusted.tolist() == [trusted, True]
+
+
 def test_the_mixture_leans_to_the_one_with_less_variance(problem):
     rng = np.random.default_rng(1)
     forward = of(np.array([3.0, -3.0]) + 30.0 * rng.standard_normal((200, 2)))
