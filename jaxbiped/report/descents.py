@@ -105,5 +105,5 @@ def sensitivity(
     return figure
 
 
-def _curve(entries: Sequence[Mapping[str, Any]], name: str) -> tuple[list[float], list[float]]:
+def _curve(entries: Sequence[Mapping[str, Any]], name: str) -> tuple[list[int], list[float]]:
     return [h["step"] for h in entries], [h[name] for h in entries]
