@@ -10,7 +10,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import polars as pl
 import tuned
@@ -104,7 +103,7 @@ def main() -> None:
         found, _ = descend(
             problem, held_out, settings, {"landing": {"base": name}}, out, "python sweeps/tune_landing.py"
         )
-        arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, jnp.asarray(found.values))
+        arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, found.values)
     pairs = [(f"tuned_{name}", name) for name in arguments.start]
     if len(pairs) == len(STARTS):
         pairs.append(("tuned_repaired", "paper"))

@@ -110,10 +110,13 @@ def values(controller: Controller, tunables: Sequence[Tunable]) -> Float[Array, 
 
 
 def apply(
-    robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
+    robot: RobotParams,
+    controller: Controller,
+    tunables: Sequence[Tunable],
+    new: Float[Array | np.ndarray, " n"],
 ) -> Controller:
     """The controller with other values, planned anew; pure, to be differentiated."""
-    gait, stages = with_values(robot, controller, tunables, new)
+    gait, stages = with_values(robot, controller, tunables, jnp.asarray(new))
     return Controller(gait, **stages)
 
 
