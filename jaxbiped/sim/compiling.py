@@ -13,7 +13,7 @@ R = TypeVar("R")
 
 OPTIONS: dict[str, Any] = {"xla_cpu_experimental_ynn_fusion_type": ""}
 """On a CPU XLA gives sums and products of a few numbers to a library (YNN), whose calls cost more than the arithmetic
-does: with none given to it a walk takes four fifths of the time. Other devices take no notice."""
+does: with none given to it a tick takes a tenth less (`benchmarks/tick_profile.py`). Other devices take no notice."""
 
 
 def jit_walks(function: Callable[P, R]) -> Callable[P, R]:

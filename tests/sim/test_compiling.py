@@ -66,7 +66,7 @@ def test_names_and_words_stay(counted):
 
 
 def test_this_xla_knows_the_options(asked_again):
-    """An upgrade that forgets them would cost a fifth of the speed without a word."""
+    """An upgrade that forgets them would cost a tenth of the speed without a word."""
     assert compiling.options() == compiling.OPTIONS
 
 
