@@ -97,11 +97,12 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
     options = parser.parse_args()
     result: dict[str, float] = {}
-    function, arguments, flops = None, (), 0.0
-    for name, (function, arguments) in pieces(options.robot, options.batch).items():
+    flops = 0.0
+    every = pieces(options.robot, options.batch)
+    for name, (function, arguments) in every.items():
         result[name], flops = microseconds(function, arguments, compiling.options())
         print(f"{name:42s} {result[name]:8.0f} us for {options.batch} lanes", flush=True)
-    plain, _ = microseconds(function, arguments, {})
+    plain, _ = microseconds(*every["tick"], {})
     print(f"{'tick without the options of sim.compiling':42s} {plain:8.0f} us", flush=True)
     square = jax.random.normal(jax.random.key(2), (1024, 1024))
     product = eqx.filter_jit(lambda a: a @ a)

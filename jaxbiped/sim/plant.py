@@ -148,9 +148,8 @@ def acceleration(forces: Forces) -> Float[Array, "18"]:
 
 @acceleration.defjvp
 def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, "18"], Float[Array, "18"]]:
-    inverse = mjx_adapter.inverse(
-        _matrix(*primals)
-    )  # one elimination for the acceleration and all its tangents
+    # One elimination for the acceleration and all its tangents.
+    inverse = mjx_adapter.inverse(_matrix(*primals))
     qacc = inverse.times(_force(*primals))
     _, left = jax.jvp(lambda forces: balance(forces, qacc), primals, tangents)
     return qacc, inverse.times(left)

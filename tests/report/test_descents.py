@@ -41,9 +41,8 @@ def test_sensitivity_has_a_panel_for_every_tunable(count):
     x, slope = np.array([3.0, 1.0, 2.0]), np.arange(3.0 * count).reshape(3, count)
     names = [f"number {i}" for i in range(count)]
     figure = descents.sensitivity(x, slope, -slope, names, "height [cm]", "slopes")
-    panels = sorted(
-        figure.get_axes(), key=lambda panel: panel.get_title(loc="left")
-    )  # they run down the columns
+    # They run down the columns.
+    panels = sorted(figure.get_axes(), key=lambda panel: panel.get_title(loc="left"))
     assert [panel.get_title(loc="left") for panel in panels] == names
     for i, panel in enumerate(panels):
         _, secants, derivatives = lines(panel)
