@@ -1,0 +1,67 @@
+"""Files that are whole or not there: written under another name, then renamed; with the permissions the umask leaves."""
+
+import contextlib
+import itertools
+import os
+import uuid
+from pathlib import Path
+
+
+def write(path: str | Path, content: bytes | str) -> Path:
+    """Write a file as a whole; an older file of that name stays if this one cannot be written.
+
+    Args:
+        path: of the file; its folder must exist.
+        content: text is written in UTF-8.
+
+    Raises:
+        OSError: with the name of the file, when the disk is full or the folder cannot be written.
+    """
+    path = Path(path)
+    data = content.encode("utf-8") if isinstance(content, str) else content
+    unfinished = path.with_name(f".{path.name[:180]}.{uuid.uuid4().hex[:12]}.part")
+    try:
+        # Created without tempfile, which would make it readable to its owner only, whatever the umask.
+        with os.fdopen(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            unfinished.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    _keep_name(path)
+    return path
+
+
+def set_aside(path: Path) -> Path:
+    """Rename a damaged file to the first free of NAME.damaged, NAME.damaged-2, ..., and return its new name.
+
+    Raises:
+        OSError: if it cannot be renamed.
+    """
+    names = itertools.chain([f"{path.name}.damaged"], (f"{path.name}.damaged-{n}" for n in itertools.count(2)))
+    place = next(place for place in map(path.with_name, names) if not place.exists())
+    os.rename(path, place)
+    return place
+
+
+def why_not_writable(folder: Path) -> str | None:
+    """Why a folder cannot be made or written into, without trying; None if nothing speaks against it."""
+    for place in (folder, *folder.absolute().parents):
+        if place.exists() or place.is_symlink():
+            if not place.is_dir():
+                return f"'{place}' is a file"
+            return None if os.access(place, os.W_OK | os.X_OK) else f"'{place}' may not be written"
+    return f"'{folder}' has no parent folder"
+
+
+def _keep_name(path: Path) -> None:
+    """Have the disk keep the new name of a file, where it can be asked to."""
+    with contextlib.suppress(OSError):
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
