@@ -43,8 +43,8 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=3.0, help="of every walk [s]")
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
     arguments = parser.parse_args()
-    workers.keep_compiled_kernels()
-    workers.use_threads()
+    jb.runtime.keep_compiled_kernels()
+    jb.runtime.use_threads()
     one = experiment(arguments.duration)
     result: dict[str, Any] = {f"ticks_per_s_{n}_workers": rate(one, n) for n in (1, 2)}
     result["two_over_one"] = result["ticks_per_s_2_workers"] / result["ticks_per_s_1_workers"]

@@ -37,9 +37,9 @@ import mujoco.rollout  # noqa: E402
 import numpy as np  # noqa: E402
 from mujoco import mjx  # noqa: E402
 
-from jaxbiped import planner, robot, sim  # noqa: E402
+from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
-from jaxbiped.sim import compiling, mjx_adapter  # noqa: E402
+from jaxbiped.sim import mjx_adapter  # noqa: E402
 from jaxbiped.sim.rollout import make_feed_forward, simulate  # noqa: E402
 
 DT = 5e-4
@@ -197,7 +197,7 @@ def compiled_loop(name: str, n: int, ticks: int) -> tuple[Any, Callable[[], Any]
 
     args = (one.params, model, one.gait, one.torque, scenarios(n))
     began = time.perf_counter()
-    compiled = jax.jit(run, compiler_options=compiling.options()).lower(*args).compile()
+    compiled = jax.jit(run, compiler_options=runtime.options()).lower(*args).compile()
     seconds = time.perf_counter() - began
     return compiled, lambda: jax.block_until_ready(compiled(*args)), seconds
 
@@ -426,7 +426,7 @@ def mjx_contacts(name: str, n: int, size: Size) -> dict[str, float]:
 
     args = (model, height, jnp.asarray(one.data.qpos, jnp.float32), control)
     began = time.perf_counter()
-    compiled = jax.jit(run, compiler_options=compiling.options()).lower(*args).compile()
+    compiled = jax.jit(run, compiler_options=runtime.options()).lower(*args).compile()
     compile_s = time.perf_counter() - began
     jax.block_until_ready(compiled(*args))
     seconds = size.median_seconds(lambda: jax.block_until_ready(compiled(*args)))

@@ -19,9 +19,9 @@ import equinox as eqx  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
-from jaxbiped import planner, robot, sim  # noqa: E402
+from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
-from jaxbiped.sim import compiling, ground, mjx_adapter, plant, statistics  # noqa: E402
+from jaxbiped.sim import ground, mjx_adapter, plant, statistics  # noqa: E402
 from jaxbiped.sim.rollout import make_feed_forward, servo_reference  # noqa: E402
 
 DT = 5e-4
@@ -100,10 +100,10 @@ def main() -> None:
     flops = 0.0
     every = pieces(options.robot, options.batch)
     for name, (function, arguments) in every.items():
-        result[name], flops = microseconds(function, arguments, compiling.options())
+        result[name], flops = microseconds(function, arguments, runtime.options())
         print(f"{name:42s} {result[name]:8.0f} us for {options.batch} lanes", flush=True)
     plain, _ = microseconds(*every["tick"], {})
-    print(f"{'tick without the options of sim.compiling':42s} {plain:8.0f} us", flush=True)
+    print(f"{'tick without the options of runtime':42s} {plain:8.0f} us", flush=True)
     square = jax.random.normal(jax.random.key(2), (1024, 1024))
     product = eqx.filter_jit(lambda a: a @ a)
     limit = 2 * 1024**3 / common.median_seconds(lambda: jax.block_until_ready(product(square)), REPEATS, 0.05)

@@ -1,7 +1,7 @@
-"""jaxbiped: a pure-JAX, differentiable, vectorised simulator and batch tester for biped walking adaptation.
+"""jaxbiped: a pure-JAX, differentiable, vectorized simulator and batch tester for biped walking adaptation.
 
-Data flows one way through the rooms: robot -> kinematics -> planner -> adapt -> sim -> score -> batch -> tune,
-report -> commands, cli.
+Data flows one way through the rooms: runtime | robot -> kinematics -> planner -> adapt -> sim -> score -> batch ->
+tune, report -> commands, cli.
 See docs/conventions.md for frames, signs and units.
 """
 
@@ -11,6 +11,6 @@ check_installed()
 
 __version__ = "0.1.0"
 
-from jaxbiped import adapt, batch, kinematics, planner, robot, score, sim, tune  # noqa: E402  (after the check, on purpose)
+from jaxbiped import adapt, batch, kinematics, planner, robot, runtime, score, sim, tune  # noqa: E402  (after the check, on purpose)
 
-__all__ = ["__version__", "adapt", "batch", "kinematics", "planner", "robot", "score", "sim", "tune"]
+__all__ = ["__version__", "adapt", "batch", "kinematics", "planner", "robot", "runtime", "score", "sim", "tune"]

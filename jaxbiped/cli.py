@@ -1,15 +1,21 @@
 """The console command `jaxbiped`: every command says in a few lines what it did; bad input is exit code 2."""
 
 import contextlib
+import dataclasses
+import functools
 import io
 import json
+import operator
 import re
 import sys
+from collections.abc import Callable
+from importlib import metadata
 from typing import Any
 
 import tyro
 
-from jaxbiped.batch import workers
+from jaxbiped import runtime
+from jaxbiped.checked import nearest, one_line
 from jaxbiped.commands import (
     InputError,
     WorkersLost,
@@ -23,28 +29,36 @@ from jaxbiped.commands import (
     tune,
     walk,
 )
+from jaxbiped.commands.common import plain
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-Command = (
-    demo.Demo
-    | walk.Walk
-    | payload.Payload
-    | obstacles.Obstacles
-    | tune.Tune
-    | replay.Replay
-    | report_page.Report
-    | doctor.Doctor
-    | export.Export
-)
+COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
+    "demo": (demo.Demo, demo.run),
+    "walk": (walk.Walk, walk.run),
+    "payload": (payload.Payload, payload.run),
+    "obstacles": (obstacles.Obstacles, obstacles.run),
+    "tune": (tune.Tune, tune.run),
+    "replay": (replay.Replay, replay.run),
+    "report": (report_page.Report, report_page.run),
+    "doctor": (doctor.Doctor, doctor.run),
+    "export": (export.Export, export.run),
+}
+"""The record of a command's arguments, and what carries it out."""
+_HELP = ("-h", "--help")
+_WORDS = {"INT": "a whole number", "FLOAT": "a number", "PATH": "a path", "STR": "a text"}
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the console command; returns the exit code: 0 done, 1 something is missing, 2 bad input."""
+    args = sys.argv[1:] if args is None else list(args)
+    if args == ["--version"]:
+        print(f"jaxbiped {metadata.version('jaxbiped')}")
+        return OK
     try:
-        command = _parse(args)
-        workers.use_threads(workers.cores() if isinstance(command, tune.Tune) else 1)
-        workers.keep_compiled_kernels()
-        result = _run(command)
+        name, command = _parse(args)
+        runtime.use_threads(runtime.cores() if name == "tune" else 1)
+        runtime.keep_compiled_kernels()
+        result = COMMANDS[name][1](command)
     except InputError as error:
         return _complain(error, BAD_INPUT)
     except (ImportError, WorkersLost) as error:
@@ -54,52 +68,80 @@ def main(args: list[str] | None = None) -> int:
     except SystemExit as stop:  # --help
         return int(stop.code or OK)
     if command.json:
-        print(json.dumps(result))
+        print(json.dumps(plain(result)))
     return OK
 
 
-def _run(command: Command) -> dict[str, Any]:
-    match command:
-        case demo.Demo():
-            return demo.run(command)
-        case walk.Walk():
-            return walk.run(command)
-        case payload.Payload():
-            return payload.run(command)
-        case obstacles.Obstacles():
-            return obstacles.run(command)
-        case tune.Tune():
-            return tune.run(command)
-        case replay.Replay():
-            return replay.run(command)
-        case report_page.Report():
-            return report_page.run(command)
-        case doctor.Doctor():
-            return doctor.run(command)
-        case export.Export():
-            return export.run(command)
-
-
 def _complain(error: Exception, code: int) -> int:
-    print("jaxbiped:", " ".join(str(error).split()), file=sys.stderr)
+    print("jaxbiped:", one_line(" ".join(str(error).split())), file=sys.stderr)
     return code
 
 
-def _parse(args: list[str] | None) -> Command:
-    """Read the arguments; tyro's box of complaints becomes one line."""
+def _parse(args: list[str]) -> tuple[str, Any]:
+    """The name of the command and its arguments; complaints are one line, with the nearest known name."""
+    if args and args[0] in _HELP:
+        every = functools.reduce(operator.or_, (record for record, _ in COMMANDS.values()))
+        tyro.cli(every, prog="jaxbiped", args=["--help"], description=__doc__)
+    names = ", ".join(COMMANDS)
+    if not args:
+        raise InputError(f"command: got none, allowed: {names}, or --help, --version")
+    name, *rest = args
+    if name not in COMMANDS:
+        known = (*COMMANDS, "--help", "--version")
+        raise InputError(
+            f"command: got '{name}', allowed: {names}, or --help, --version{nearest(name, known)}"
+        )
+    record = COMMANDS[name][0]
+    _refuse_unknown(name, record, rest)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(Command, prog="jaxbiped", args=args, description=__doc__)
+            return name, tyro.cli(record, prog=f"jaxbiped {name}", args=rest)
     except SystemExit as stop:
         if stop.code in (OK, None):
             raise
-        raise InputError(_one_line(complaint.getvalue())) from None
+        raise InputError(_in_one_line(name, complaint.getvalue())) from None
 
 
-def _one_line(box: str) -> str:
-    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip(" ─╭╮╰╯│") for line in box.splitlines()]
-    return "; ".join(line for line in lines if line)
+def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
+    """Refuse an argument that the command does not have, before anything else is looked at."""
+    known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(record)]
+    known = [option for option in known if option not in ("--table", "--row")] if name == "replay" else known
+    known = [option for option in known if option != "--table"] if name == "report" else known
+    switched = [f"--no-{option[2:]}" for option in known]
+    for word in args:
+        option = word.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in (*known, *switched, *_HELP):
+            raise InputError(
+                f"{option}: got an argument that '{name}' does not have, allowed: {', '.join(known)}"
+                f"{nearest(option, known)}"
+            )
+
+
+def _in_one_line(name: str, box: str) -> str:
+    """What tyro says in a box, in the words of the other refusals."""
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", box)
+    lines = [
+        line.strip(" │") for line in plain.splitlines() if not re.fullmatch(r"[╭╰│].*[╮╯]", line.strip())
+    ]
+    ruler = next((i for i, line in enumerate(lines) if set(line) == {"─"}), len(lines))
+    said = " ".join(line for line in lines[:ruler] if line)
+    told = [line for line in lines[ruler + 1 :] if line]
+    if match := re.match(r"Missing from .*?: (.*)", said):
+        option, *words = match[1].removesuffix(" (required)").split()
+        text = " ".join(words[1:] if words and words[0].isupper() else words)
+        return f"{option}: missing, required by '{name}': {text}"
+    if match := re.match(r"Missing value for argument '(.*?)'", said):
+        return f"{match[1]}: got no value, allowed: one or more; see jaxbiped {name} --help"
+    if match := re.match(r"Error parsing (\S+): (.*)", said):
+        got = re.search(r"'[^']*'", match[2])
+        kind = next((re.sub(r"^\S+ ?", "", line) for line in told if line.startswith(match[1])), "")
+        kind = kind or ("INT" if "int()" in match[2] else "FLOAT" if "float" in match[2] else "")
+        words = next((text for word, text in _WORDS.items() if word in kind), kind or "see --help")
+        return f"{match[1]}: got {got[0] if got else match[2]}, allowed: {words}"
+    if match := re.match(r"Unrecognized options: (.*)", said):
+        return f"{name}: got '{match[1]}' beyond its arguments, allowed: what jaxbiped {name} --help lists"
+    return said
 
 
 if __name__ == "__main__":

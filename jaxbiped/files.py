@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written under another name, then renamed; with the permissions the umask leaves."""
+"""Files that are whole or not there: written under another name, then renamed; with permissions by the umask."""
 
 import contextlib
 import itertools
@@ -41,7 +41,9 @@ def set_aside(path: Path) -> Path:
     Raises:
         OSError: if it cannot be renamed.
     """
-    names = itertools.chain([f"{path.name}.damaged"], (f"{path.name}.damaged-{n}" for n in itertools.count(2)))
+    names = itertools.chain(
+        [f"{path.name}.damaged"], (f"{path.name}.damaged-{n}" for n in itertools.count(2))
+    )
     place = next(place for place in map(path.with_name, names) if not place.exists())
     os.rename(path, place)
     return place

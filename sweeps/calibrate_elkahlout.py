@@ -185,7 +185,7 @@ def make_walks(steps: int, duration: float, arm: str) -> Callable[..., Any]:
         return judge(walk, gait, world).success, stats.peak_roll_pitch, reflexes, stats.end_time
 
     over_cells = jax.vmap(one, in_axes=(None, None, None, 0, 0))
-    return jb.sim.jit_walks(jax.vmap(over_cells, in_axes=(0, 0, 0, None, None)))
+    return jb.runtime.jit(jax.vmap(over_cells, in_axes=(0, 0, 0, None, None)))
 
 
 def ground_of(numbers: dict[str, float]) -> Ground:

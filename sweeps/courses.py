@@ -150,7 +150,7 @@ def scenarios(one: Setup, chosen: list[Course]) -> list[jb.sim.Scenario]:
     return [scenario(course) for course in chosen]
 
 
-@jb.sim.jit_walks
+@jb.runtime.jit
 def _batch(one: Setup, model: Any, controller: jb.adapt.Controller, batch: jb.sim.Scenario) -> Any:
     options = jb.sim.Options()
     table = make_feed_forward(one.robot, controller, one.duration, options)

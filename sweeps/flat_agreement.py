@@ -67,7 +67,7 @@ def compliant(name: str, steps: int, batch: Scenario) -> dict[str, np.ndarray]:
     model = mjx_adapter.base_model(params)
     table = make_feed_forward(params, controller, duration, options)
 
-    @jb.sim.jit_walks
+    @jb.runtime.jit
     def run(chunk: Scenario) -> Any:
         one = partial(simulate, params, model, controller)
         return eqx.filter_vmap(lambda s: one(s, table, duration, options).statistics)(chunk)

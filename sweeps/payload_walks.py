@@ -31,7 +31,7 @@ def walks(robot: Any, controller: Any, scenarios: list[Any], duration: float, op
     """All scenarios at once: walks and verdicts with a leading axis."""
     model = mjx_adapter.base_model(robot)
 
-    @jb.sim.jit_walks
+    @jb.runtime.jit
     def go(controller: Any, batch: Any) -> Any:
         table = make_feed_forward(robot, controller, duration, options)
 

@@ -36,7 +36,7 @@ def main() -> None:
     model, options = mjx_adapter.base_model(robot), jb.sim.Options()
     duration = float(gait.duration) + 0.5
 
-    @jb.sim.jit_walks
+    @jb.runtime.jit
     def walk(controller: jb.adapt.Controller, batch: jb.sim.Scenario) -> jb.sim.Statistics:
         table = make_feed_forward(robot, controller, duration, options)
         return jax.vmap(

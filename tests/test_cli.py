@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from jaxbiped import cli, planner, robot
-from jaxbiped.batch import workers
+from jaxbiped import cli, planner, robot, runtime
 from jaxbiped.commands import demo
 
 
@@ -160,7 +159,7 @@ def test_without_matplotlib_the_demo_says_what_to_install(capsys, monkeypatch, t
 def test_cache_stays_where_the_user_put_it():
     before = jax.config.values["jax_compilation_cache_dir"]
     assert before is not None
-    workers.keep_compiled_kernels()
+    runtime.keep_compiled_kernels()
     assert jax.config.values["jax_compilation_cache_dir"] == before
 
 

@@ -6,10 +6,8 @@ import json
 import polars as pl
 import pytest
 
-from jaxbiped import adapt, batch, cli
+from jaxbiped import batch, cli
 from jaxbiped.commands import demo, obstacles, payload, replay
-from jaxbiped.commands.choices import load_arm
-from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.report import movie
 
 
@@ -164,54 +162,6 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(capsys, tmp_path):
     words, result = said(capsys)
     assert result["plan"]["walks"] == 24 and result["plan"]["arms"] == 3 and not out.exists()
     assert "24 walks" in words and "MiB" in words and "min" in words
-
-
-ARM_FILE = """
-[landing]
-base = "repaired"
-descent_speed = 0.25
-
-[payload]
-base = "modified"
-settling_time = 3.0
-"""
-
-
-def test_arm_from_a_file(tmp_path):
-    file = tmp_path / "tuned.toml"
-    file.write_text(ARM_FILE)
-    robot = load_robot("--robot", "elkahlout")
-    gait = payload.make_gait(robot, "cosine", 3)
-    controller = load_arm("--arm", file, robot, gait)
-    assert controller.landing is not None and controller.payload is not None
-    assert float(controller.landing.params.descent_speed) == pytest.approx(0.25)
-    assert float(controller.payload.params.settling_time) == 3.0
-    only = tmp_path / "only.toml"
-    only.write_text('[payload]\nbase = "original"\n')
-    assert isinstance(load_arm("--arm", only, robot, gait), adapt.Controller)
-    assert load_arm("--arm", only, robot, gait).landing is None
-
-
-BAD_ARMS = {
-    "[payload]\nbase = 'fast'\n": "base 'fast'",
-    "[landing]\nbase = 'modified'\n": "base 'modified'",
-    "[payload]\nsettling_time = 3.0\n": "base None",
-    "[payload]\nbase = 'modified'\nsettling_time = -1.0\n": "settling_time",
-    "[payload]\nbase = 'modified'\nspeed = 1.0\n": "speed",
-    "[landing]\nbase = 'paper'\ndescent_speed = 'x'\n": "tuned.toml",
-    "[walk]\nbase = 'paper'\n": "[landing], [payload] or [gait]",
-    "base = ": "tuned.toml",
-}
-
-
-@pytest.mark.parametrize("text", BAD_ARMS)
-def test_bad_arm_files_are_refused(tmp_path, text):
-    file = tmp_path / "tuned.toml"
-    file.write_text(text)
-    robot = load_robot("--robot", "elkahlout")
-    with pytest.raises(InputError) as refusal:
-        load_arm("--arm", file, robot, payload.make_gait(robot, "cosine", 3))
-    assert "--arm" in str(refusal.value) and BAD_ARMS[text] in str(refusal.value)
 
 
 BAD = [

@@ -174,12 +174,32 @@ def test_obstacle_as_high_as_the_swing_foot_is_refused():
         made(obstacles="2:0.03")
 
 
+def test_a_renamed_copy_of_a_preset_walks_like_it(tmp_path):
+    mine = renamed(tmp_path, "elkahlout", "my robot")
+    copy, preset = made(str(mine)), made()
+    assert (copy.robot.name, copy.gait_name, copy.options) == ("my robot", preset.gait_name, preset.options)
+    assert not copy.options.feed_forward and copy.options.control_every == 1
+
+
 def test_robot_without_a_preset_gait_is_refused(tmp_path):
-    preset = Path(walk.__file__).parents[1] / "robot" / "presets" / "surena3.toml"
-    mine = tmp_path / "mine.toml"
-    mine.write_text(preset.read_text(encoding="utf-8").replace('name = "surena3"', 'name = "mine"'))
-    with pytest.raises(InputError, match="'mine', allowed: surena3, elkahlout"):
+    mine = renamed(tmp_path, "surena3", "mine")
+    text = mine.read_text(encoding="utf-8")
+    mine.write_text(text.replace('walks_like = "surena3"\n', ""))
+    with pytest.raises(
+        InputError, match="'mine', allowed: surena3, elkahlout; otherwise add walks_like = 'surena3'"
+    ):
         made(str(mine))
+    mine.write_text(text.replace('walks_like = "surena3"', 'walks_like = "surena"'))
+    with pytest.raises(InputError, match=r"walks_like: got 'surena', .*; did you mean 'surena3'\?"):
+        made(str(mine))
+
+
+def renamed(folder: Path, preset: str, name: str) -> Path:
+    """A copy of a preset's file with another name in it."""
+    file = Path(walk.__file__).parents[1] / "robot" / "presets" / f"{preset}.toml"
+    mine = folder / "mine.toml"
+    mine.write_text(file.read_text(encoding="utf-8").replace(f'name = "{preset}"', f'name = "{name}"', 1))
+    return mine
 
 
 def test_out_below_a_file_is_refused(capsys, tmp_path):

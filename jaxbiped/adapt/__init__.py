@@ -2,11 +2,10 @@
 
 from jaxbiped.adapt.controller import Controller, ControllerState
 from jaxbiped.adapt.landing import Landing, LandingStage, LandingState
-from jaxbiped.adapt.payload import MODE_TEXT, PayloadReflex, PayloadStage, PayloadState
+from jaxbiped.adapt.payload import PayloadReflex, PayloadStage, PayloadState
 from jaxbiped.adapt.sensed import Sensed
 
 __all__ = [
-    "MODE_TEXT",
     "Controller",
     "ControllerState",
     "Landing",

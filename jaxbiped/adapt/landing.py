@@ -21,9 +21,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt.blends import longest_time_to_rest, quintic_to_rest, smooth
+from jaxbiped.adapt.parameters import reader, require_names, switches
 from jaxbiped.adapt.sensed import Sensed
-from jaxbiped.planner import PLANNED_STEP, REFLEX_STEP, Gait, Phase, Targets, TaskSpace, is_concrete
-from jaxbiped.planner.polynomial import as_scalar, as_scalar_or_none
+from jaxbiped.checked import Flag, Quantity
+from jaxbiped.planner import PLANNED_STEP, REFLEX_STEP, Gait, Phase, Targets, TaskSpace
 
 Scalar = Float[Array, ""]
 _BISECTIONS = 40
@@ -31,71 +32,91 @@ _SHAKEN_TIME = 0.5
 """For how long after a touch the foot forces say little about the weight [s]."""
 
 
+PARAMETERS: dict[str, Quantity | Flag] = {
+    "delta_z": Quantity(
+        "m",
+        0.0,
+        0.1,
+        True,
+        text="Height of the sole over the ground when a switch closes, as the controller believes.",
+    ),
+    "T_mod": Quantity(
+        "s",
+        0.0,
+        2.0,
+        True,
+        optional=True,
+        text="Time to set the foot down after a touch; None for the time the plan needs from delta_z to the ground.",
+    ),
+    "delta_x_scale": Quantity(
+        "", 0.0, 5.0, text="Factor on delta_x, the way the plan goes in its last T_mod."
+    ),
+    "descent_speed": Quantity(
+        "m/s", 0.0, 5.0, True, text="Speed of the descent after T_s, h per control tick in the paper."
+    ),
+    "descent_acceleration": Quantity(
+        "m/s2", 0.0, 100.0, True, text="Acceleration of the descent's start and stop, where it is smooth."
+    ),
+    "max_descent": Quantity(
+        "m", 0.0, 1.0, True, text="Depth at which the descent stops, where it is smooth."
+    ),
+    "release_share": Quantity("", 0.0, 2.0, True, text="Time of release over T_s."),
+    "no_undershoot": Flag(
+        "Repair: T_mod at most T*, so that the quintic of Eq. 6 never goes below the ground."
+    ),
+    "smooth_descent": Flag(
+        "Repair: the descent starts and stops with limited acceleration instead of a velocity step."
+    ),
+    "pelvis_follows": Flag("Repair: in a retard landing the pelvis follows the foot through z_mod too."),
+    "commanded_velocity": Flag(
+        "Repair: Eqs. 6 and 7 start from the commanded, not the preplanned, velocity and acceleration."
+    ),
+    "keep_x": Flag(
+        "Repair: the sagittal offset is kept while the foot stands and blended out in its own next swing."
+    ),
+    "stays_down": Flag(
+        "Repair: a foot that has touched is carried along by the rest of the release, instead of being lifted off or "
+        "pushed down by it."
+    ),
+    "interpolate": Flag("Take the instant of touch from inside the tick; False: from the tick that saw it."),
+}
+"""What the parameters of the landing stage are and may be."""
+_read = reader(PARAMETERS)
+
+
 class Landing(eqx.Module):
-    """Parameters of the landing stage."""
+    """Parameters of the landing stage; PARAMETERS says what each of them is, its unit and its bounds."""
 
-    delta_z: Scalar = eqx.field(converter=as_scalar, default=0.01)
-    """Height of the sole over the ground when a switch closes, as the controller believes [m]."""
-    T_mod: Scalar | None = eqx.field(converter=as_scalar_or_none, default=None)
-    """Time to set the foot down after a touch [s]; None for the time the plan needs from delta_z to the ground."""
-    delta_x_scale: Scalar = eqx.field(converter=as_scalar, default=1.0)
-    """Factor on delta_x, the way the plan goes in its last T_mod."""
-    descent_speed: Scalar = eqx.field(converter=as_scalar, default=0.2)
-    """Speed of the descent after T_s, h per control tick in the paper [m/s]."""
-    descent_acceleration: Scalar = eqx.field(converter=as_scalar, default=3.0)
-    """Acceleration of the descent's start and stop, where it is smooth [m/s2]."""
-    max_descent: Scalar = eqx.field(converter=as_scalar, default=0.08)
-    """Depth at which the descent stops, where it is smooth [m]."""
-    release_share: Scalar = eqx.field(converter=as_scalar, default=1.0)
-    """Time of release as a share of T_s."""
-    no_undershoot: bool = eqx.field(static=True, default=True)
-    """Repair: T_mod at most T*, so that the quintic of Eq. 6 never goes below the ground."""
-    smooth_descent: bool = eqx.field(static=True, default=True)
-    """Repair: the descent starts and stops with limited acceleration instead of a velocity step."""
-    pelvis_follows: bool = eqx.field(static=True, default=True)
-    """Repair: in a retard landing the pelvis follows the foot through z_mod too."""
-    commanded_velocity: bool = eqx.field(static=True, default=True)
-    """Repair: Eqs. 6 and 7 start from the commanded, not the preplanned, velocity and acceleration."""
-    keep_x: bool = eqx.field(static=True, default=True)
-    """Repair: the sagittal offset is kept while the foot stands and blended out in its own next swing."""
-    stays_down: bool = eqx.field(static=True, default=True)
-    """Repair: a foot that has touched is carried along by the rest of the release, instead of being lifted off or
-    pushed down by it."""
-    interpolate: bool = eqx.field(static=True, default=True)
-    """Take the instant of touch from inside the tick; False: from the tick that saw it."""
-
-    def __check_init__(self) -> None:
-        """Refuse what cannot be meant."""
-        for name in (
-            "delta_z",
-            "T_mod",
-            "descent_speed",
-            "descent_acceleration",
-            "max_descent",
-            "release_share",
-        ):
-            value = getattr(self, name)
-            if value is not None and jnp.ndim(value) == 0 and is_concrete(value) and not value > 0.0:
-                unit = {"descent_speed": "m/s", "descent_acceleration": "m/s2", "T_mod": "s"}.get(name, "m")
-                raise ValueError(f"{name}: got {float(value):g} {unit}, allowed: > 0 {unit}")
+    delta_z: Scalar = eqx.field(converter=_read("delta_z"), default=0.01)
+    T_mod: Scalar | None = eqx.field(converter=_read("T_mod"), default=None)
+    delta_x_scale: Scalar = eqx.field(converter=_read("delta_x_scale"), default=1.0)
+    descent_speed: Scalar = eqx.field(converter=_read("descent_speed"), default=0.2)
+    descent_acceleration: Scalar = eqx.field(converter=_read("descent_acceleration"), default=3.0)
+    max_descent: Scalar = eqx.field(converter=_read("max_descent"), default=0.08)
+    release_share: Scalar = eqx.field(converter=_read("release_share"), default=1.0)
+    no_undershoot: bool = eqx.field(converter=_read("no_undershoot"), static=True, default=True)
+    smooth_descent: bool = eqx.field(converter=_read("smooth_descent"), static=True, default=True)
+    pelvis_follows: bool = eqx.field(converter=_read("pelvis_follows"), static=True, default=True)
+    commanded_velocity: bool = eqx.field(converter=_read("commanded_velocity"), static=True, default=True)
+    keep_x: bool = eqx.field(converter=_read("keep_x"), static=True, default=True)
+    stays_down: bool = eqx.field(converter=_read("stays_down"), static=True, default=True)
+    interpolate: bool = eqx.field(converter=_read("interpolate"), static=True, default=True)
 
     @classmethod
     def paper(cls, **parameters: Any) -> "Landing":
-        """Eqs. 6-16 to the letter."""
-        switches = (
-            "no_undershoot",
-            "smooth_descent",
-            "pelvis_follows",
-            "commanded_velocity",
-            "keep_x",
-            "stays_down",
-            "interpolate",
-        )
-        return cls(**{name: False for name in switches}, **parameters)
+        """Eqs. 6-16 to the letter: every switch off that is not given.
+
+        Raises:
+            TypeError: for a parameter that there is not.
+            ValueError: for a value that is not allowed.
+        """
+        require_names("Landing", parameters, PARAMETERS)
+        return cls(**{**dict.fromkeys(switches(PARAMETERS), False), **parameters})
 
     @classmethod
     def repaired(cls, **parameters: Any) -> "Landing":
-        """With every repair."""
+        """With every repair that is not switched off; errors as of `paper`."""
+        require_names("Landing", parameters, PARAMETERS)
         return cls(**parameters)
 
 

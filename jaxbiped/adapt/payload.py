@@ -23,11 +23,12 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt.blends import longest_time_to_rest, quintic_to_rest, smooth
+from jaxbiped.adapt.parameters import reader, require_names
 from jaxbiped.adapt.sensed import Sensed
+from jaxbiped.checked import Flag, Quantity, Refusal
 from jaxbiped.kinematics import body
 from jaxbiped.planner import (
     DOUBLE_SUPPORT,
@@ -43,13 +44,11 @@ from jaxbiped.planner import (
     feasibility,
     is_concrete,
 )
-from jaxbiped.planner.polynomial import as_scalar, as_scalar_or_none
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
 
 WALK, REFLEX, SETTLE, SHIFT, RECOVER, HOLD = range(6)
-MODE_TEXT = ("walk", "reflex", "settle", "shift", "recover", "hold")
 FORCE_TIME_CONSTANT = 0.09975
 """Of lambda = 5e-3 per tick of 0.5 ms, the thesis' force filter [s]."""
 ZMP_TIME_CONSTANT = 0.99975
@@ -69,117 +68,135 @@ _SMALLEST_WAY = 1e-4
 parabola about the tick of the trigger is out by."""
 _NOTHING, _FAST, _SLOW = range(3)
 """Which low-pass has felt a load."""
-_UNITS = {
-    "zmp_balanced": "m",
-    "x_reflex": "m",
-    "x_stand": "m",
-    "threshold": "N",
-    "slow_threshold": "N",
-    "x_ref_gain": "",
+_TIME = {"unit": "s", "low": 0.0, "high": 60.0, "above": True}
+_FORCE = {"unit": "N", "low": 0.0, "high": 1e4, "above": True}
+PARAMETERS: dict[str, Quantity | Flag] = {
+    "zmp_balanced": Quantity(
+        "m",
+        -0.5,
+        0.5,
+        text="ZMP forward of the pelvis at which the unloaded robot balances, -0.035 in the thesis.",
+    ),
+    "x_reflex": Quantity(
+        "m",
+        -0.2,
+        0.2,
+        shapes=((3, 2),),
+        text="How far the reflex moves (left, right) foot forward; rows: left foot swings, right foot swings, double "
+        "support.",
+    ),
+    "threshold": Quantity(
+        **_FORCE,
+        text="Change of the low-passed force that starts the reflex; the named arms add what the plan itself causes.",
+    ),
+    "slow_threshold": Quantity(
+        **_FORCE, text="The same for the slower low-pass, which decides while other things shake the robot."
+    ),
+    "slow_time_constant": Quantity(**_TIME, text="Time constant of the slower low-pass."),
+    "rearm_time": Quantity(
+        "s",
+        0.0,
+        600.0,
+        endless=True,
+        text="For how long after going on the slower low-pass decides; infinite: from the first reflex on, for good.",
+    ),
+    "force_time_constant": Quantity(
+        "s", 0.0, 10.0, True, text="Time constant of the low-pass of the summed foot force, Eq. 3.7."
+    ),
+    "zmp_time_constant": Quantity(**_TIME, text="Time constant of the low-pass of the ZMP, Eq. 3.18."),
+    "x_stand": Quantity(
+        "m",
+        -0.5,
+        0.5,
+        optional=True,
+        text="Sole forward of the pelvis on which a steady recovery stands alone; None: wherever it is.",
+    ),
+    "reflex_time": Quantity("s", 0.0, 10.0, True, text="t_refl_per."),
+    "body_time": Quantity(
+        **_TIME,
+        text="Longest time in which a smooth reflex brings the body sideways to the middle; it has to be there when "
+        "the ZMP is read.",
+    ),
+    "settling_time": Quantity(**_TIME, text="t_set_t."),
+    "shift_time": Quantity(**_TIME, text="t_x_ref_as."),
+    "x_ref_gain": Quantity("", 0.0, 5.0, text="Part of the measured ZMP error by which x_ref is shifted."),
+    "smooth_reflex": Flag(
+        "Repair: the reflex takes over velocity and acceleration instead of starting with a velocity step, and the "
+        "body, which cannot be pulled off its stance foot as fast as the other one is set down, has `body_time` to "
+        "follow."
+    ),
+    "steady_recovery": Flag(
+        "Repair: the recovery step takes a whole T_s, with the body over the stance foot, and the body advances after "
+        "it instead of during it."
+    ),
+    "starts_again": Flag(
+        "A further change of weight starts the reflex again; False: once, as the thesis' experiments have it. On a "
+        "robot that rocks under its load the literal arms would set themselves off again."
+    ),
+    "smooth_resume": Flag(
+        "Repair: the plan is brought up to speed over a double support instead of at once."
+    ),
+    "interpolate": Flag("Take events from inside the tick; False: from the tick that saw them."),
 }
-"""Of the parameters; the others are times [s]."""
-
-
-def _table(value: Any) -> Any:
-    return jnp.asarray(value, jnp.result_type(float))
+"""What the parameters of the payload stage are and may be."""
+_LITERAL = ("smooth_reflex", "steady_recovery", "smooth_resume", "starts_again")
+"""Switches that are off in the thesis."""
+_read = reader(PARAMETERS)
 
 
 class PayloadReflex(eqx.Module):
-    """Parameters of the payload stage."""
+    """Parameters of the payload stage; PARAMETERS says what each of them is, its unit and its bounds."""
 
-    zmp_balanced: Scalar = eqx.field(converter=as_scalar)
-    """ZMP forward of the pelvis at which the unloaded robot balances, -0.035 in the thesis [m]."""
-    x_reflex: Float[Array, "3 2"] = eqx.field(converter=_table, default=X_REFLEX_MODIFIED)
-    """How far the reflex moves (left, right) foot forward [m]; rows: left foot swings, right foot swings, double
-    support."""
-    threshold: Scalar = eqx.field(converter=as_scalar, default=SMALLEST_LOAD)
-    """Change of the low-passed force that starts the reflex [N]; the named arms add what the plan itself causes."""
-    slow_threshold: Scalar = eqx.field(converter=as_scalar, default=SMALLEST_LOAD)
-    """The same for the slower low-pass, which decides while other things shake the robot [N]."""
-    slow_time_constant: Scalar = eqx.field(converter=as_scalar, default=1.0)
-    """Of the slower low-pass [s]."""
-    rearm_time: Scalar = eqx.field(converter=as_scalar, default=2.5)
-    """For how long after going on the slower low-pass decides [s]; infinite: from the first reflex on, for good."""
-    force_time_constant: Scalar = eqx.field(converter=as_scalar, default=FORCE_TIME_CONSTANT)
-    """Of the low-pass of the summed foot force, Eq. 3.7 [s]."""
-    zmp_time_constant: Scalar = eqx.field(converter=as_scalar, default=ZMP_TIME_CONSTANT)
-    """Of the low-pass of the ZMP, Eq. 3.18 [s]."""
-    x_stand: Scalar | None = eqx.field(converter=as_scalar_or_none, default=None)
-    """Sole forward of the pelvis on which a steady recovery stands alone [m]; None: wherever it is."""
-    reflex_time: Scalar = eqx.field(converter=as_scalar, default=0.1)
-    """t_refl_per [s]."""
-    body_time: Scalar = eqx.field(converter=as_scalar, default=1.2)
-    """Longest time in which a smooth reflex brings the body sideways to the middle [s]; it has to be there when the ZMP
-    is read."""
-    settling_time: Scalar = eqx.field(converter=as_scalar, default=4.0)
-    """t_set_t [s]."""
-    shift_time: Scalar = eqx.field(converter=as_scalar, default=0.5)
-    """t_x_ref_as [s]."""
-    x_ref_gain: Scalar = eqx.field(converter=as_scalar, default=1.0)
-    """Share of the measured ZMP error by which x_ref is shifted."""
-    smooth_reflex: bool = eqx.field(static=True, default=True)
-    """Repair: the reflex takes over velocity and acceleration instead of starting with a velocity step, and the body,
-    which cannot be pulled off its stance foot as fast as the other one is set down, has `body_time` to follow."""
-    steady_recovery: bool = eqx.field(static=True, default=True)
-    """Repair: the recovery step takes a whole T_s, with the body over the stance foot, and the body advances after it
-    instead of during it."""
-    starts_again: bool = eqx.field(static=True, default=True)
-    """A further change of weight starts the reflex again; False: once, as the thesis' experiments have it. On a robot
-    that rocks under its load the literal arms would set themselves off again."""
-    smooth_resume: bool = eqx.field(static=True, default=True)
-    """Repair: the plan is brought up to speed over a double support instead of at once."""
-    interpolate: bool = eqx.field(static=True, default=True)
-    """Take events from inside the tick; False: from the tick that saw them."""
+    zmp_balanced: Scalar = eqx.field(converter=_read("zmp_balanced"))
+    x_reflex: Float[Array, "3 2"] = eqx.field(converter=_read("x_reflex"), default=X_REFLEX_MODIFIED)
+    threshold: Scalar = eqx.field(converter=_read("threshold"), default=SMALLEST_LOAD)
+    slow_threshold: Scalar = eqx.field(converter=_read("slow_threshold"), default=SMALLEST_LOAD)
+    slow_time_constant: Scalar = eqx.field(converter=_read("slow_time_constant"), default=1.0)
+    rearm_time: Scalar = eqx.field(converter=_read("rearm_time"), default=2.5)
+    force_time_constant: Scalar = eqx.field(
+        converter=_read("force_time_constant"), default=FORCE_TIME_CONSTANT
+    )
+    zmp_time_constant: Scalar = eqx.field(converter=_read("zmp_time_constant"), default=ZMP_TIME_CONSTANT)
+    x_stand: Scalar | None = eqx.field(converter=_read("x_stand"), default=None)
+    reflex_time: Scalar = eqx.field(converter=_read("reflex_time"), default=0.1)
+    body_time: Scalar = eqx.field(converter=_read("body_time"), default=1.2)
+    settling_time: Scalar = eqx.field(converter=_read("settling_time"), default=4.0)
+    shift_time: Scalar = eqx.field(converter=_read("shift_time"), default=0.5)
+    x_ref_gain: Scalar = eqx.field(converter=_read("x_ref_gain"), default=1.0)
+    smooth_reflex: bool = eqx.field(converter=_read("smooth_reflex"), static=True, default=True)
+    steady_recovery: bool = eqx.field(converter=_read("steady_recovery"), static=True, default=True)
+    starts_again: bool = eqx.field(converter=_read("starts_again"), static=True, default=True)
+    smooth_resume: bool = eqx.field(converter=_read("smooth_resume"), static=True, default=True)
+    interpolate: bool = eqx.field(converter=_read("interpolate"), static=True, default=True)
 
     def __check_init__(self) -> None:
-        """Refuse what cannot be meant."""
-        for name in ("zmp_balanced", "x_ref_gain", "x_stand"):
-            self._require(name, "finite", np.isfinite)
-        self._require("x_reflex", "finite", np.isfinite, shape=(3, 2))
-        self._require("rearm_time", ">= 0", lambda value: value >= 0.0)
-        for name in (
-            "threshold",
-            "slow_threshold",
-            "slow_time_constant",
-            "force_time_constant",
-            "zmp_time_constant",
-            "reflex_time",
-            "body_time",
-            "settling_time",
-            "shift_time",
-        ):
-            self._require(name, "finite, > 0", lambda value: (value > 0.0) & np.isfinite(value))
-        if self.smooth_reflex and is_concrete(self.reflex_time, self.settling_time):
-            still = float(self.reflex_time) + float(self.settling_time)
-            allowed = f"<= reflex_time + settling_time = {still:g}"
-            self._require("body_time", allowed, lambda value: value <= still * (1.0 + 1e-6))
-
-    def _require(self, name: str, allowed: str, fine: Any, shape: tuple[int, ...] = ()) -> None:
-        """Raise unless a parameter has this shape and, where its value is known, is fine."""
-        value, unit = getattr(self, name), _UNITS.get(name, "s")
-        if value is None:
-            return
-        if jnp.shape(value) != shape:
-            raise ValueError(f"{name}: got shape {jnp.shape(value)}, allowed: {shape} {unit}".rstrip())
-        if is_concrete(value) and not np.all(fine(np.asarray(value))):
-            got = str(np.asarray(value).tolist()) if shape else f"{float(value):g}"
-            raise ValueError(
-                f"{name}: got {f'{got} {unit}'.rstrip()}, allowed: {f'{allowed} {unit}'.rstrip()}"
-            )
+        """Refuse a body that is still on its way when the ZMP is read."""
+        if self.smooth_reflex and is_concrete(self.reflex_time, self.settling_time, self.body_time):
+            still, body_time = float(self.reflex_time) + float(self.settling_time), float(self.body_time)
+            if body_time > still * (1.0 + 1e-6):
+                raise Refusal(
+                    f"body_time: got {body_time:g} s, allowed: <= reflex_time + settling_time = {still:g} s"
+                )
 
     @classmethod
     def original(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """Eqs. 3.7-3.40: settling 2 s."""
+        """Eqs. 3.7-3.40: settling 2 s.
+
+        Raises:
+            TypeError: for a parameter that there is not.
+            ValueError: for a value that is not allowed.
+        """
         return cls._literal(robot, gait, {"x_reflex": X_REFLEX_ORIGINAL, "settling_time": 2.0, **parameters})
 
     @classmethod
     def modified(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """With Eqs. 4.5, 4.6 and settling 4 s."""
+        """With Eqs. 4.5, 4.6 and settling 4 s; errors as of `original`."""
         return cls._literal(robot, gait, {"x_reflex": X_REFLEX_MODIFIED, "settling_time": 4.0, **parameters})
 
     @classmethod
     def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """With every repair; the feet stay where they are or come down."""
+        """With every repair; the feet stay where they are or come down. Errors as of `original`."""
+        require_names("PayloadReflex", parameters, PARAMETERS)
         ours = {"x_reflex": X_REFLEX_NONE, "reflex_time": 0.5}
         if "x_stand" not in parameters:
             ours["x_stand"] = standing_zmp(robot, gait) - robot.p_sole_corner[..., 0].mean()
@@ -187,9 +204,9 @@ class PayloadReflex(eqx.Module):
 
     @classmethod
     def _literal(cls, robot: RobotParams, gait: Gait, parameters: dict[str, Any]) -> "PayloadReflex":
-        names = ("smooth_reflex", "steady_recovery", "smooth_resume", "starts_again")
-        switches = dict.fromkeys(names, False)
-        return cls(**{**_of_plan(robot, gait, parameters), **switches, **parameters})
+        require_names("PayloadReflex", parameters, PARAMETERS)
+        off = dict.fromkeys(_LITERAL, False)
+        return cls(**{**_of_plan(robot, gait, parameters), **off, **parameters})
 
 
 class PayloadState(eqx.Module):

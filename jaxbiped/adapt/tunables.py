@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbiped.adapt import landing, payload
 from jaxbiped.adapt.controller import Controller
+from jaxbiped.checked import Quantity
 from jaxbiped.robot import RobotParams
 
 GAIT_ROOM = 0.3
@@ -46,10 +48,23 @@ class Tunable:
         return "x_reflex" if self.index else self.name.split(".")[1]
 
 
+DECLARED = {"landing": landing.PARAMETERS, "payload": payload.PARAMETERS}
+"""What the parameters of each stage are and may be."""
+
+
+def _of_stage(
+    name: str, low: float, high: float, what: str, field: str = "", index: tuple[int, ...] = ()
+) -> Tunable:
+    stage, own = name.split(".")
+    declared = DECLARED[stage][field or own]
+    assert isinstance(declared, Quantity)
+    return Tunable(name, low, high, declared.unit, what, index)
+
+
 def _offset(phase: str, foot: str, row: int, column: int) -> Tunable:
     name = f"payload.x_{foot}_{phase.replace(' ', '_')}"
     what = f"how far the reflex moves the {foot} foot forward, {phase} (thesis: 0.01 forward or back)"
-    return Tunable(name, -0.03, 0.03, "m", what, (row, column))
+    return _of_stage(name, -0.03, 0.03, what, "x_reflex", (row, column))
 
 
 _PHASES = ("left swings", "right swings", "both stand")
@@ -57,22 +72,20 @@ _PHASES = ("left swings", "right swings", "both stand")
 TUNABLES: dict[str, Tunable] = {
     t.name: t
     for t in (
-        Tunable("landing.T_mod", 0.01, 0.3, "s", "time to set the foot down (khadiv: what the plan needs)"),
-        Tunable("landing.descent_speed", 0.05, 0.5, "m/s", "h over the control tick"),
-        Tunable("landing.delta_x_scale", 0.0, 2.0, "", "factor on delta_x (khadiv: 1)"),
-        Tunable("landing.release_share", 0.3, 1.0, "", "time of release over T_s (khadiv: 1)"),
+        _of_stage("landing.T_mod", 0.01, 0.3, "time to set the foot down (khadiv: what the plan needs)"),
+        _of_stage("landing.descent_speed", 0.05, 0.5, "h over the control tick"),
+        _of_stage("landing.delta_x_scale", 0.0, 2.0, "factor on delta_x (khadiv: 1)"),
+        _of_stage("landing.release_share", 0.3, 1.0, "time of release over T_s (khadiv: 1)"),
         *(
             _offset(phase, foot, row, column)
             for row, phase in enumerate(_PHASES)
             for column, foot in enumerate(("left", "right"))
         ),
-        Tunable("payload.reflex_time", 0.04, 1.0, "s", "t_refl_per (thesis: 0.1)"),
-        Tunable("payload.settling_time", 1.5, 6.0, "s", "t_set_t (thesis: 2, then 4)"),
-        Tunable(
-            "payload.x_ref_gain", 0.0, 2.0, "", "share of the ZMP error by which x_ref moves (thesis: 1)"
-        ),
-        Tunable("payload.zmp_balanced", -0.1, 0.05, "m", "balanced ZMP from the pelvis (thesis: -0.035)"),
-        Tunable("payload.threshold", 5.0, 200.0, "N", "rise of the filtered force that starts the reflex"),
+        _of_stage("payload.reflex_time", 0.04, 1.0, "t_refl_per (thesis: 0.1)"),
+        _of_stage("payload.settling_time", 1.5, 6.0, "t_set_t (thesis: 2, then 4)"),
+        _of_stage("payload.x_ref_gain", 0.0, 2.0, "share of the ZMP error by which x_ref moves (thesis: 1)"),
+        _of_stage("payload.zmp_balanced", -0.1, 0.05, "balanced ZMP from the pelvis (thesis: -0.035)"),
+        _of_stage("payload.threshold", 5.0, 200.0, "rise of the filtered force that starts the reflex"),
     )
 }
 """By name; a gait's parameters come on top, see `find`."""
@@ -191,4 +204,6 @@ def other_gait(robot: RobotParams, gait: Any, new: Mapping[str, Any]) -> Any:
 def _of_gait(name: str, controller: Controller) -> Tunable:
     now = float(getattr(controller.gait.params, name.split(".")[1]))
     room = GAIT_ROOM * max(abs(now), 0.01)
-    return Tunable(name, now - room, now + room, "", "parameter of the gait")
+    declared = getattr(type(controller.gait), "quantities", {}).get(name.split(".")[1], Quantity())
+    low, high = max(now - room, declared.low), min(now + room, declared.high)
+    return Tunable(name, low, high, declared.unit, "parameter of the gait")

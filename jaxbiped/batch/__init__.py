@@ -4,9 +4,10 @@ from jaxbiped.batch import summary
 from jaxbiped.batch.draws import Choice, Normal, Uniform, draw, grid
 from jaxbiped.batch.experiment import Experiment
 from jaxbiped.batch.inputs import INPUTS, NEVER, height_column, scenarios_of, steps_of
-from jaxbiped.batch.run import Plan, Progress, plan, run, show
+from jaxbiped.batch.progress import Progress, show, waiting
+from jaxbiped.batch.run import Plan, plan, run
 from jaxbiped.batch.store import StoreError, open_table
-from jaxbiped.batch.workers import WorkersError
+from jaxbiped.batch.workers import WorkersError, require_address
 
 __all__ = [
     "INPUTS",
@@ -24,9 +25,11 @@ __all__ = [
     "height_column",
     "open_table",
     "plan",
+    "require_address",
     "run",
     "scenarios_of",
     "show",
     "steps_of",
     "summary",
+    "waiting",
 ]

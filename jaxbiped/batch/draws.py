@@ -1,6 +1,8 @@
 """Scenario tables: full grids, and random draws with a seed."""
 
+import hashlib
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -8,6 +10,12 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+
+from jaxbiped.checked import Quantity, whole
+
+MAX_ROWS = 10_000_000
+
+_finite = Quantity().check
 
 
 @dataclass(frozen=True)
@@ -19,8 +27,9 @@ class Uniform:
 
     def __post_init__(self) -> None:
         """Refuse an empty or endless range."""
-        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low <= self.high):
-            raise ValueError(f"uniform: got {self.low:g} to {self.high:g}, allowed: low <= high, finite")
+        low, high = _finite("uniform: low", self.low), _finite("uniform: high", self.high)
+        if not (low <= high and math.isfinite(high - low)):
+            raise ValueError(f"uniform: got {low:g} to {high:g}, allowed: low <= high, a finite range")
 
     def at(self, share: np.ndarray) -> np.ndarray:
         """Quantiles."""
@@ -36,10 +45,9 @@ class Normal:
 
     def __post_init__(self) -> None:
         """Refuse what is no distribution."""
-        if not (np.isfinite(self.mean) and 0.0 < self.deviation < np.inf):
-            raise ValueError(
-                f"normal: got mean {self.mean:g}, deviation {self.deviation:g}, allowed: finite, deviation > 0"
-            )
+        _finite("normal: mean", self.mean)
+        if not _finite("normal: deviation", self.deviation) > 0.0:
+            raise ValueError(f"normal: deviation: got {self.deviation:g}, allowed: > 0")
 
     def at(self, share: np.ndarray) -> np.ndarray:
         """Quantiles."""
@@ -55,9 +63,11 @@ class Choice:
     values: tuple[float | int, ...]
 
     def __post_init__(self) -> None:
-        """Refuse an empty choice."""
-        if not self.values:
-            raise ValueError("choice: got no values, allowed: at least one")
+        """Refuse an empty choice, and values that are no finite numbers."""
+        if isinstance(self.values, str) or not len(self.values):
+            raise ValueError(f"choice: got {self.values!r}, allowed: at least one finite number")
+        for value in self.values:
+            _finite("choice", value)
 
     def at(self, share: np.ndarray) -> np.ndarray:
         """Quantiles."""
@@ -68,24 +78,33 @@ class Choice:
 Distribution = Uniform | Normal | Choice
 
 
-def grid(**values: float | int | Sequence[float | int]) -> pl.DataFrame:
+def grid(**values: float | int | np.number | np.ndarray | Sequence[float | int]) -> pl.DataFrame:
     """Every combination of the given values; the first column varies slowest.
 
     Raises:
-        ValueError: if a column has no values.
+        ValueError: if a column has no values, or one that is no finite number.
     """
-    columns = {name: list(np.atleast_1d(np.asarray(v, float))) for name, v in values.items()}
+    columns = {name: [_finite(name, value) for value in _listed(given)] for name, given in values.items()}
     for name, column in columns.items():
         if not column:
             raise ValueError(f"{name}: got no values, allowed: at least one")
+    count = math.prod(map(len, columns.values()))
+    if count > MAX_ROWS:
+        raise ValueError(f"grid: got {count} combinations, allowed: at most {MAX_ROWS}")
     rows = list(itertools.product(*columns.values()))
     return pl.DataFrame(rows, schema=dict.fromkeys(columns, pl.Float64), orient="row")
 
 
 def draw(
-    n: int, seed: int, *, latin_hypercube: bool = True, **columns: float | int | Distribution
+    n: int | np.integer,
+    seed: int | np.integer,
+    *,
+    latin_hypercube: bool = True,
+    **columns: float | int | np.number | Distribution,
 ) -> pl.DataFrame:
     """`n` random scenarios.
+
+    Every column is drawn by the seed and its own name: another column more or less changes none of the others.
 
     Args:
         n: number of rows.
@@ -94,19 +113,24 @@ def draw(
         columns: a distribution, or one number for all rows.
 
     Raises:
-        ValueError: for a bad number of rows or seed.
+        ValueError: for a bad number of rows, seed or value.
     """
-    if not 1 <= n <= 10_000_000:
-        raise ValueError(f"n: got {n}, allowed: 1 to 10000000")
-    if not 0 <= seed < 2**31:
-        raise ValueError(f"seed: got {seed}, allowed: 0 to {2**31 - 1}")
+    n, seed = whole("n", n, 1, MAX_ROWS), whole("seed", seed, 0, 2**31 - 1)
     shares = _latin if latin_hypercube else _independent
     drawn: dict[str, Any] = {}
-    for index, (name, one) in enumerate(columns.items()):
-        rng = np.random.default_rng([seed, index])
-        known = isinstance(one, Uniform | Normal | Choice)
-        drawn[name] = one.at(shares(rng, n)) if known else np.full(n, float(one))
+    for name, one in columns.items():
+        known = isinstance(one, Distribution)
+        drawn[name] = one.at(shares(_random(seed, name), n)) if known else np.full(n, _finite(name, one))
     return pl.DataFrame(drawn)
+
+
+def _listed(given: Any) -> list[Any]:
+    return list(given) if isinstance(given, Sequence | np.ndarray | pl.Series) and np.ndim(given) else [given]
+
+
+def _random(seed: int, name: str) -> np.random.Generator:
+    words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], np.uint32)
+    return np.random.default_rng([seed, *words.tolist()])
 
 
 def _latin(rng: np.random.Generator, n: int) -> np.ndarray:

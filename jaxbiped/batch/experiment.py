@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -12,12 +12,16 @@ import polars as pl
 
 from jaxbiped.adapt import Controller
 from jaxbiped.batch import inputs, records
+from jaxbiped.checked import Refusal, whole
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
+from jaxbiped.sim.rollout import DURATION
+from jaxbiped.sim.scenario import pad_under, require_clear_start, require_swing_clears
 
-MOST_LANES = 128
-"""Walks in a chunk where nobody says otherwise: more are no faster on a core."""
+MAX_BATCH = 65536
+MAX_LANES = 128
+"""Largest chunk where nobody says otherwise: more walks at once are no faster on a core."""
 LANE_STEP = 8
 """Chunks are a multiple of this, so that grids of nearly the same size share what was compiled."""
 
@@ -43,23 +47,45 @@ class Experiment:
     seed: int = 0
     """Of the sensors' noise."""
     batch: int | None = None
-    """Walks in a chunk; None: up to MOST_LANES."""
+    """Walks in a chunk; None: up to MAX_LANES."""
 
-    def __post_init__(self) -> None:
-        """Refuse what cannot be walked."""
+    judge: InitVar[bool] = True
+    """Whether obstacles that nobody can walk over are refused; not where an experiment was run before."""
+
+    def __post_init__(self, judge: bool) -> None:
+        """Refuse what cannot be simulated."""
         if not self.arms:
             raise ValueError("arms: got none, allowed: at least one")
-        if self.duration is not None and not 0.0 < self.duration <= 3600.0:
-            raise ValueError(f"duration: got {self.duration:g} s, allowed: > 0 and <= 3600 s")
-        if self.batch is not None and not 1 <= self.batch <= 65536:
-            raise ValueError(f"batch: got {self.batch} walks, allowed: 1 to 65536")
+        for name in self.arms:
+            if not isinstance(name, str) or not name or not name.isprintable():
+                raise ValueError(f"arms: got the name {name!r}, allowed: a text on one line")
+        if self.duration is not None:
+            object.__setattr__(self, "duration", DURATION.check("duration", self.duration))
+        if self.batch is not None:
+            object.__setattr__(self, "batch", whole("batch", self.batch, 1, MAX_BATCH))
+        object.__setattr__(self, "seed", whole("seed", self.seed, 0, 2**31 - 1))
         if self.options.trace_every:
             raise ValueError(
                 f"trace_every: got {self.options.trace_every}, allowed: 0; replay a row for its trace"
             )
-        if not 0 <= self.seed < 2**31:
-            raise ValueError(f"seed: got {self.seed}, allowed: 0 to {2**31 - 1}")
         inputs.require_apart(self.table, self.pads)
+        for name, arm in self.arms.items() if judge else ():
+            self._require_walkable(name, arm)
+
+    def _require_walkable(self, name: str, arm: Controller) -> None:
+        """Refuse obstacles that the swing foot runs into, or that it stands in at the start."""
+        highest = {step: float(self.table[inputs.height_column(step)].max()) for step in self.steps}  # type: ignore[arg-type]
+        own = {step: height for step, height in highest.items() if step < arm.gait.timing.n_steps}
+        try:
+            require_swing_clears(arm.gait, own)
+            require_clear_start(self.robot, arm.gait, inputs.terrain_extremes(self.table, self.pads))
+        except Refusal as error:
+            raise ValueError(f"scenarios, arm '{name}': {error}") from None
+
+    @property
+    def steps(self) -> list[int]:
+        """Steps that have a column with the height under their foothold."""
+        return inputs.steps_of(self.table.columns)
 
     @cached_property
     def table(self) -> pl.DataFrame:
@@ -70,9 +96,7 @@ class Experiment:
     def pads(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Smallest and largest corner of the pad under every step that has a column."""
         first = next(iter(self.arms.values()))
-        return [
-            inputs.pad_under(self.robot, first.gait, step) for step in inputs.steps_of(self.table.columns)
-        ]
+        return [pad_under(self.robot, first.gait, step) for step in self.steps]
 
     @cached_property
     def simulation(self) -> Options:
@@ -105,11 +129,15 @@ class Experiment:
 
     @cached_property
     def lanes(self) -> int:
-        """Walks in a chunk, the last one padded: it depends on the experiment only, never on the workers."""
+        """Walks in a chunk, the last one padded: it depends on the experiment only, never on the workers.
+
+        Never more than there are scenarios.
+        """
+        n = self.table.height
         if self.batch is not None:
-            return self.batch
-        chunks = -(-self.table.height // MOST_LANES)
-        return -(-self.table.height // (chunks * LANE_STEP)) * LANE_STEP
+            return min(self.batch, n)
+        chunks = -(-n // MAX_LANES)
+        return min(-(-n // (chunks * LANE_STEP)) * LANE_STEP, n)
 
     @cached_property
     def chunks(self) -> list["Chunk"]:
@@ -144,7 +172,7 @@ class Experiment:
             "scenarios": {
                 "rows": self.table.height,
                 "columns": self.table.columns,
-                "sha256": _hash(self.table),
+                "sha256": table_hash(self.table),
             },
         }
 
@@ -158,6 +186,7 @@ class Experiment:
             scenarios,
             records.from_json(resolved["options"]),
             batch=resolved["lanes"],
+            judge=False,
         )
         made.__dict__["durations"] = dict(resolved["durations_s"])  # of a cached property: as they were
         return made
@@ -175,7 +204,8 @@ class Chunk:
     """Row of the results table of this arm's first scenario."""
 
 
-def _hash(table: pl.DataFrame) -> str:
+def table_hash(table: pl.DataFrame) -> str:
+    """SHA-256 of a table of numbers: its columns' names and values."""
     digest = hashlib.sha256(json.dumps(table.columns).encode())
     for name in table.columns:
         digest.update(np.ascontiguousarray(table[name].to_numpy()).tobytes())

@@ -10,66 +10,64 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from jaxbiped.planner import Gait
-from jaxbiped.robot import RobotParams
+from jaxbiped.checked import Quantity, nearest
 from jaxbiped.sim import Scenario
 from jaxbiped.sim.scenario import (
+    NEVER,
+    RANGES,
     Ground,
     ModelErrors,
     Payload,
     Push,
     SensorFaults,
     Terrain,
-    pad_under,
 )
-
-NEVER = 1e6
-"""A time after every walk [s]."""
 
 
 @dataclass(frozen=True)
 class Input:
     """One number of a scenario."""
 
+    range: Quantity
+    """Unit and bounds."""
     default: float
-    low: float
-    """Smallest value allowed."""
-    high: float
-    """Largest value allowed."""
     what: str
 
 
-INPUTS: dict[str, Input] = {
-    "load_kg": Input(0.0, 0.0, 200.0, "payload; 0 for none"),
-    "load_time_s": Input(NEVER, 0.0, NEVER, "when it is attached, since the start of the walk"),
-    "load_x_m": Input(0.2, -1.0, 1.0, "its centre forward of the pelvis"),
-    "load_y_m": Input(0.0, -1.0, 1.0, "its centre to the left of the pelvis"),
-    "load_z_m": Input(0.25, -1.0, 2.0, "its centre above the pelvis"),
-    "load_size_m": Input(0.2, 0.01, 1.0, "edge of its cube"),
-    "friction": Input(0.8, 0.01, 5.0, "Coulomb coefficient of the ground"),
-    "sinkage_m": Input(3e-4, 5e-5, 5e-3, "how deep the standing robot sinks in: compliance of the ground"),
-    "damping_s_per_m": Input(10.0, 0.0, 50.0, "damping of the ground"),
-    "slip_speed_m_per_s": Input(0.01, 1e-3, 0.1, "sliding speed at which friction reaches 71 % of Coulomb's"),
-    "trunk_mass_scale": Input(1.0, 0.5, 2.0, "factor on the mass and inertia of the trunk"),
-    "leg_mass_scale": Input(1.0, 0.5, 2.0, "factor on the masses and inertias of the legs"),
-    "com_x_m": Input(0.0, -0.1, 0.1, "shift of the trunk's centre of mass forward"),
-    "com_y_m": Input(0.0, -0.1, 0.1, "shift of the trunk's centre of mass to the left"),
-    "com_z_m": Input(0.0, -0.3, 0.3, "shift of the trunk's centre of mass upward"),
-    "gain_scale": Input(1.0, 0.1, 5.0, "factor on the gains of all servos"),
-    "delta_z_m": Input(0.01, 0.0, 0.05, "gap at which the contact switches close"),
-    "bounce_s": Input(0.0, 0.0, 0.1, "for how long a closing switch bounces"),
-    "delay_s": Input(0.0, 0.0, 0.05, "how late every reading arrives"),
-    "force_noise_N": Input(0.0, 0.0, 200.0, "standard deviation of every corner force"),
-    "angle_noise_rad": Input(0.0, 0.0, 0.1, "standard deviation of joint angles, roll and pitch"),
-    "push_x_N": Input(0.0, -5000.0, 5000.0, "push on the trunk, forward"),
-    "push_y_N": Input(0.0, -5000.0, 5000.0, "push on the trunk, to the left"),
-    "push_z_N": Input(0.0, -5000.0, 5000.0, "push on the trunk, upward"),
-    "push_time_s": Input(NEVER, 0.0, NEVER, "when the push begins"),
-    "push_length_s": Input(0.0, 0.0, 10.0, "how long it lasts"),
+_DEFAULTS = {
+    "load_kg": (0.0, "payload; 0 for none"),
+    "load_time_s": (NEVER, "when it is attached, since the start of the walk"),
+    "load_x_m": (0.2, "its centre forward of the pelvis"),
+    "load_y_m": (0.0, "its centre to the left of the pelvis"),
+    "load_z_m": (0.25, "its centre above the pelvis"),
+    "load_size_m": (0.2, "edge of its cube"),
+    "friction": (0.8, "Coulomb coefficient of the ground"),
+    "sinkage_m": (3e-4, "how deep the standing robot sinks in: compliance of the ground"),
+    "damping_s_per_m": (10.0, "damping of the ground"),
+    "slip_speed_m_per_s": (0.01, "sliding speed at which friction reaches 71 % of Coulomb's"),
+    "trunk_mass_scale": (1.0, "factor on the mass and inertia of the trunk"),
+    "leg_mass_scale": (1.0, "factor on the masses and inertias of the legs"),
+    "com_x_m": (0.0, "shift of the trunk's centre of mass forward"),
+    "com_y_m": (0.0, "shift of the trunk's centre of mass to the left"),
+    "com_z_m": (0.0, "shift of the trunk's centre of mass upward"),
+    "gain_scale": (1.0, "factor on the gains of all servos"),
+    "delta_z_m": (0.01, "gap at which the contact switches close"),
+    "bounce_s": (0.0, "for how long a closing switch bounces"),
+    "delay_s": (0.0, "how late every reading arrives"),
+    "force_noise_N": (0.0, "standard deviation of every corner force"),
+    "angle_noise_rad": (0.0, "standard deviation of joint angles, roll and pitch"),
+    "push_x_N": (0.0, "push on the trunk, forward"),
+    "push_y_N": (0.0, "push on the trunk, to the left"),
+    "push_z_N": (0.0, "push on the trunk, upward"),
+    "push_time_s": (NEVER, "when the push begins"),
+    "push_length_s": (0.0, "how long it lasts"),
 }
+"""Default and meaning of every column."""
+INPUTS = {name: Input(RANGES[name], default, what) for name, (default, what) in _DEFAULTS.items()}
+"""By the name of the column."""
 SEED = "seed"
 """Column of the sensors' noise; whole numbers."""
-HEIGHT = Input(0.0, -0.2, 0.2, "height of a pad under the foothold of a step, negative for a hole")
+HEIGHT = Input(RANGES["height_m"], 0.0, "height of a pad under the foothold of a step, negative for a hole")
 _HEIGHT_NAME = re.compile(r"step_(0|[1-9]\d*)_height_m")
 
 
@@ -100,7 +98,10 @@ def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
     known = {**INPUTS, **{height_column(step): HEIGHT for step in steps}}
     for name in scenarios.columns:
         if name not in known and name != SEED:
-            raise ValueError(f"scenarios: got column '{name}', allowed: {', '.join([*known, SEED])}")
+            every = [*known, SEED]
+            raise ValueError(
+                f"scenarios: got column '{name}', allowed: {', '.join(every)}, step_K_height_m{nearest(name, every)}"
+            )
     columns = [
         _column(scenarios, name, one) if name in scenarios.columns else pl.lit(one.default).alias(name)
         for name, one in known.items()
@@ -109,17 +110,17 @@ def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
 
 
 def _column(scenarios: pl.DataFrame, name: str, one: Input) -> pl.Series:
-    try:
-        values = scenarios[name].cast(pl.Float64)
-    except pl.exceptions.PolarsError:
-        raise ValueError(f"{name}: got {scenarios[name].dtype}, allowed: numbers") from None
+    given = scenarios[name]
+    if not given.dtype.is_numeric():
+        raise ValueError(f"{name}: got {given.dtype}, allowed: numbers [{one.range.unit or '-'}]")
+    values = given.cast(pl.Float64)
     array = values.to_numpy()
-    outside = ~((array >= one.low) & (array <= one.high))
-    if outside.any():
-        worst = array[outside][0]
-        raise ValueError(
-            f"{name}: got {worst:g} in row {int(np.flatnonzero(outside)[0])}, allowed: {one.low:g} to {one.high:g}"
-        )
+    outside = np.flatnonzero(~one.range.contains(array))
+    if len(outside):
+        row = int(outside[0])
+        if given[row] is None:
+            raise ValueError(f"{name}: got nothing in row {row}, allowed: {one.range.allowed}")
+        one.range.check(f"{name}, row {row}", float(array[row]))
     return values
 
 
@@ -132,15 +133,6 @@ def _seeds(scenarios: pl.DataFrame, seed: int) -> pl.Series:
         return given.cast(pl.Int64)
     drawn = np.random.default_rng(seed).integers(0, 2**31 - 1, scenarios.height)
     return pl.Series(SEED, drawn, pl.Int64)
-
-
-def pads(robot: RobotParams, gait: Gait, steps: list[int]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Smallest and largest corner (x, y) [m] of the pads under the footholds of these steps.
-
-    Raises:
-        ValueError: if the gait has no such step.
-    """
-    return [pad_under(robot, gait, step) for step in steps]
 
 
 def require_apart(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]]) -> None:
@@ -205,6 +197,12 @@ def scenarios_of(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]
             seed=table[SEED].to_numpy(),
         ),
     )
+
+
+def terrain_extremes(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]]) -> Terrain:
+    """Two scenarios in which every obstacle is as high, and as low, as it is anywhere in the table."""
+    heights = [height_column(step) for step in steps_of(table.columns)]
+    return _terrain(pl.concat([table.select(heights).max(), table.select(heights).min()]), places)
 
 
 def _terrain(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]]) -> Terrain:

@@ -8,12 +8,14 @@ import numpy as np
 import polars as pl
 from jaxtyping import Array
 
+from jaxbiped import runtime
 from jaxbiped.adapt import Controller
 from jaxbiped.batch import inputs
+from jaxbiped.batch.columns import require_declared
 from jaxbiped.batch.experiment import Chunk, Experiment
 from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.score import STATUS_TEXT, judge
-from jaxbiped.sim import Options, Scenario, Walk, jit_walks, simulate
+from jaxbiped.sim import Options, Scenario, Walk, simulate
 from jaxbiped.sim.rollout import base_model, make_feed_forward
 
 Columns = dict[str, Array]
@@ -39,7 +41,7 @@ def walk_chunk(experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
     return pl.concat([_identity(chunk), table[:n], outcome_frame(outcome)], how="horizontal")
 
 
-@jit_walks
+@runtime.jit
 def _walk_batch(
     robot: RobotParams,
     model: Any,
@@ -102,7 +104,12 @@ def _identity(chunk: Chunk) -> pl.DataFrame:
 
 
 def outcome_frame(outcome: dict[str, np.ndarray]) -> pl.DataFrame:
-    """Columns of the outcome: whole numbers, flags, text for the status, float64 for all else."""
+    """Columns of the outcome: whole numbers, flags, text for the status, float64 for all else.
+
+    Raises:
+        ValueError: for a column that is not declared in `columns.OUTCOMES`.
+    """
+    require_declared(list(outcome))
     columns = {}
     for name, values in outcome.items():
         if name == "status":

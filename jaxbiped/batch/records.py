@@ -1,11 +1,10 @@
 """Records to JSON and back: exact, readable, and able to say where two of them differ.
 
-A record is an `equinox.Module` of this package; its fields are arrays, plain values, or records. Only classes of this
-package are ever made again, without calling anything.
+A record is an `equinox.Module` of this package, written under a name of its own that stays when the code is moved; its
+fields are arrays, plain values, or records. Only these classes are ever made again, without calling anything.
 """
 
 import dataclasses
-import importlib
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -15,7 +14,60 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-PACKAGE = "jaxbiped."
+from jaxbiped import adapt, planner, robot, sim
+from jaxbiped.planner.polynomial import PiecewisePolynomial, Polynomial
+from jaxbiped.planner.targets import Phase
+from jaxbiped.sim import scenario
+
+RECORDS: dict[str, type[eqx.Module]] = {
+    "robot": robot.RobotParams,
+    "links": robot.Links,
+    "servo": robot.Servo,
+    "polynomial_gait": planner.PolynomialGait,
+    "polynomial_gait_parameters": planner.PolynomialParams,
+    "polynomial_gait_start_stop": planner.StartStop,
+    "cosine_gait": planner.CosineGait,
+    "cosine_gait_parameters": planner.CosineParams,
+    "polynomial": Polynomial,
+    "piecewise_polynomial": PiecewisePolynomial,
+    "phase": Phase,
+    "controller": adapt.Controller,
+    "landing": adapt.LandingStage,
+    "landing_parameters": adapt.Landing,
+    "payload_reflex": adapt.PayloadStage,
+    "payload_reflex_parameters": adapt.PayloadReflex,
+    "options": sim.Options,
+    "scenario": sim.Scenario,
+    "terrain": scenario.Terrain,
+    "payload": scenario.Payload,
+    "push": scenario.Push,
+    "ground": scenario.Ground,
+    "model_errors": scenario.ModelErrors,
+    "sensor_faults": scenario.SensorFaults,
+}
+"""What records are called in files. A name that was ever written stays here for good."""
+
+_BEFORE_0_2 = {
+    "jaxbiped.robot.params:RobotParams": "robot",
+    "jaxbiped.robot.params:Links": "links",
+    "jaxbiped.robot.params:Servo": "servo",
+    "jaxbiped.planner.polynomial_gait:PolynomialGait": "polynomial_gait",
+    "jaxbiped.planner.polynomial_gait:PolynomialParams": "polynomial_gait_parameters",
+    "jaxbiped.planner.polynomial_gait:StartStop": "polynomial_gait_start_stop",
+    "jaxbiped.planner.cosine_gait:CosineGait": "cosine_gait",
+    "jaxbiped.planner.cosine_gait:CosineParams": "cosine_gait_parameters",
+    "jaxbiped.planner.polynomial:Polynomial": "polynomial",
+    "jaxbiped.planner.polynomial:PiecewisePolynomial": "piecewise_polynomial",
+    "jaxbiped.planner.targets:Phase": "phase",
+    "jaxbiped.adapt.controller:Controller": "controller",
+    "jaxbiped.adapt.landing:LandingStage": "landing",
+    "jaxbiped.adapt.landing:Landing": "landing_parameters",
+    "jaxbiped.adapt.payload:PayloadStage": "payload_reflex",
+    "jaxbiped.adapt.payload:PayloadReflex": "payload_reflex_parameters",
+    "jaxbiped.sim.rollout:Options": "options",
+}
+"""Names in the files of version 0.1, which were places in its code."""
+_NAME = {made: name for name, made in RECORDS.items()}
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
@@ -23,7 +75,7 @@ def to_json(value: Any) -> Any:
     """What `json.dumps` takes; `from_json` gives the value back, bit for bit.
 
     Raises:
-        TypeError: for a value that is no array, plain value or record of this package.
+        TypeError: for a value that is no array, plain value or record of RECORDS.
     """
     match value:
         case None | bool() | int() | str():
@@ -39,11 +91,11 @@ def to_json(value: Any) -> Any:
             return {"tuple": [to_json(item) for item in value]}
         case dict():
             return {"dict": {str(key): to_json(item) for key, item in value.items()}}
-        case eqx.Module() if type(value).__module__.startswith(PACKAGE):
+        case eqx.Module() if type(value) in _NAME:
             fields = {f.name: to_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
-            return {"record": f"{type(value).__module__}:{type(value).__qualname__}", **fields}
+            return {"record": _NAME[type(value)], **fields}
     raise TypeError(
-        f"record: got a {type(value).__name__}, allowed: arrays, plain values, records of jaxbiped"
+        f"record: got a {type(value).__name__}, allowed: arrays, plain values, and of records {', '.join(RECORDS)}"
     )
 
 
@@ -51,12 +103,10 @@ def from_json(data: Any) -> Any:
     """The value that `to_json` was given; arrays are JAX's.
 
     Raises:
-        ValueError: for a record of another package.
+        ValueError: for a record of another package or version.
     """
     if isinstance(data, list):
         return [from_json(item) for item in data]
-    if isinstance(data, str):
-        return data
     if not isinstance(data, dict):
         return data
     if "float" in data:
@@ -86,22 +136,30 @@ def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
 
 
 def _record(data: dict[str, Any]) -> Any:
-    module, _, name = data["record"].partition(":")
-    if not module.startswith(PACKAGE):
-        raise ValueError(f"record: got '{data['record']}', allowed: records of jaxbiped")
-    made: Any = importlib.import_module(module)
-    for part in name.split("."):
-        made = getattr(made, part)
-    if not (isinstance(made, type) and issubclass(made, eqx.Module)):
-        raise ValueError(f"record: got '{data['record']}', allowed: records of jaxbiped")
-    names = {field.name for field in dataclasses.fields(made)}
-    if names != set(data) - {"record"}:
-        other = ", ".join(sorted(names ^ (set(data) - {"record"})))
+    name = data["record"]
+    name = _BEFORE_0_2.get(name, name)
+    if name not in RECORDS:
+        raise ValueError(f"record: got '{name}', allowed: {', '.join(RECORDS)}")
+    made = RECORDS[name]
+    fields = {field.name: field for field in dataclasses.fields(made)}
+    given = {key: from_json(value) for key, value in data.items() if key != "record"}
+    # What a version had not yet, it has by default now.
+    given = {
+        **{key: _default(f) for key, f in fields.items() if f.default is not dataclasses.MISSING},
+        **given,
+    }
+    if fields.keys() != given.keys():
+        other = ", ".join(sorted(fields.keys() ^ given.keys()))
         raise ValueError(f"{name} was written by another version: not in both are {other}")
     record = object.__new__(made)
-    for field in dataclasses.fields(made):
-        object.__setattr__(record, field.name, from_json(data[field.name]))
+    for key in fields:
+        object.__setattr__(record, key, given[key])
     return record
+
+
+def _default(field: dataclasses.Field) -> Any:
+    convert = field.metadata.get("converter", lambda value: value)
+    return convert(field.default)
 
 
 def _number(value: float) -> Any:

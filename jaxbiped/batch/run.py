@@ -1,18 +1,20 @@
-"""Run an experiment into a folder: what is there is kept, what is missing is walked."""
+"""Run an experiment: what is missing in its folder is simulated, by as many processes as are asked for."""
 
-import sys
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from jaxbiped import runtime
 from jaxbiped.batch import workers as crew
 from jaxbiped.batch.experiment import Experiment
-from jaxbiped.batch.store import Store
+from jaxbiped.batch.progress import Progress
+from jaxbiped.batch.store import Found, Store, Tell, failures, to_stderr
+from jaxbiped.checked import whole
 
 TICKS_PER_SECOND = 6e4
 """Physics ticks of a walk in a second on one core, roughly; for estimates."""
@@ -20,22 +22,7 @@ COMPILE_SECONDS = 60.0
 """To compile the walks of one arm, roughly; a quarter from the cache."""
 BASE_MIB, LANE_KIB = 2000.0, 40.0
 """Memory of a worker while it compiles, without its walks, and of one walk, roughly."""
-BAR = 24
-"""Characters of the bar of progress."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a run has got."""
-
-    done: int
-    """Walks finished, those found in the folder among them."""
-    total: int
-    failed: int
-    """Walks that were no success, of those finished."""
-    rate: float
-    """Walks a second in this run."""
-    seconds_left: float
+MAX_WORKERS = 4096
 
 
 @dataclass(frozen=True)
@@ -47,6 +34,8 @@ class Plan:
     walks: int
     chunks: int
     chunks_done: int
+    damaged: tuple[str, ...]
+    """Files in the folder that are damaged and will be set aside, and why."""
     lanes: int
     """Walks in a chunk."""
     workers: int
@@ -65,111 +54,123 @@ def run(
     scheduler: str | None = None,
     overwrite: bool = False,
     progress: Callable[[Progress], None] | None = None,
+    tell: Tell = to_stderr,
 ) -> pl.DataFrame:
-    """Walk an experiment and return its table, which stands in the folder too.
+    """Simulate an experiment and return its table, which stands in the folder too.
 
     The table is the same, bit for bit on one kind of machine, whether it was made in one go, after any number of
     interruptions, or by any number of workers.
 
     Args:
-        experiment: what to walk.
-        out: folder; finished chunks in it are not walked again.
-        workers: processes; 1 walks in this one, without Dask; None: one for each core, or for each GPU.
-        scheduler: address of a Dask scheduler whose workers are to walk, instead of processes of this machine.
-        overwrite: drop what another experiment left in the folder.
-        progress: called after every chunk.
+        experiment: what to simulate.
+        out: folder; finished chunks in it are not simulated again.
+        workers: processes; 1 simulates in this one, without Dask; None: one for each core, or for each GPU. Never more
+            than there are chunks left.
+        scheduler: address of a Dask scheduler whose workers are to be used, instead of processes of this machine.
+        overwrite: drop what another experiment left in the folder; what this one left is kept.
+        progress: called after every chunk, as of `show`.
+        tell: is told of every damaged file that is set aside.
 
     Raises:
         StoreError: if the folder cannot be used.
         WorkersError: if the workers are lost; finished chunks are kept.
     """
-    crew.keep_compiled_kernels()
-    workers = _workers(workers)
-    store = Store(Path(out), experiment, overwrite)
-    missing = store.missing()
-    count = _Count(experiment, store, progress or (lambda _: None))
-    if missing:
-        if workers == 1 and scheduler is None:
-            crew.use_threads()
-            done = crew.in_this_process(experiment, missing)
-        else:
-            done = crew.on_dask(experiment, missing, min(workers, len(missing)), scheduler)
-        with closing(done):
-            for chunk, rows in done:
-                store.write(chunk, rows)
-                count.add(rows)
+    crew.require_main_guard()
+    runtime.keep_compiled_kernels()
+    given = _workers(workers)
+    if scheduler is not None:
+        crew.require_address(scheduler)
+    store = Store(Path(out), experiment, overwrite, tell)
+    found = store.open()
+    missing = [chunk for chunk in experiment.chunks if chunk.number not in found.failed]
+    with _counting(experiment, found, progress) as count:
+        if missing:
+            processes = min(given or _for_this_machine(), len(missing))
+            if processes == 1 and scheduler is None:
+                runtime.use_threads()
+                done = crew.in_this_process(experiment, missing)
+            else:
+                done = crew.on_dask(experiment, missing, processes, scheduler)
+            with closing(done):
+                for chunk, rows in done:
+                    store.write(chunk, rows)
+                    count.add(rows)
     return store.finish()
 
 
-def plan(experiment: Experiment, out: str | Path | None = None, workers: int | None = None) -> Plan:
-    """What `run` would do, without walking; of a folder only what is finished counts."""
-    workers = _workers(workers)
-    done = 0
-    if out is not None and (Path(out) / "experiment.json").exists():
-        done = len(experiment.chunks) - len(Store(Path(out), experiment).missing())
-    left = [chunk for chunk in experiment.chunks][done:]
+def plan(
+    experiment: Experiment, out: str | Path | None = None, workers: int | None = None, overwrite: bool = False
+) -> Plan:
+    """What `run` would do, without simulating and without touching anything on the disk.
+
+    Raises:
+        StoreError: if `run` would refuse the folder.
+    """
+    given = _workers(workers)
+    found = Found({}, {}) if out is None else Store(Path(out), experiment, overwrite).inspect()
+    left = [chunk for chunk in experiment.chunks if chunk.number not in found.failed]
     ticks = sum(
         experiment.lanes * experiment.durations[chunk.arm] / experiment.simulation.dt for chunk in left
     )
     compiled = len({chunk.arm for chunk in left})
+    processes = min(given or _for_this_machine(), max(1, len(left)))
     return Plan(
         scenarios=experiment.table.height,
         arms=len(experiment.arms),
         walks=experiment.rows,
         chunks=len(experiment.chunks),
-        chunks_done=done,
+        chunks_done=len(found.failed),
+        damaged=tuple(f"{file} ({why})" for file, why in found.damaged.items()),
         lanes=experiment.lanes,
-        workers=workers,
+        workers=processes,
         simulated_s=experiment.ticks * experiment.simulation.dt,
         memory_per_worker_MiB=BASE_MIB + experiment.lanes * LANE_KIB / 1024.0,
-        wall_time_s=(ticks / TICKS_PER_SECOND + compiled * COMPILE_SECONDS) / workers if left else 0.0,
+        wall_time_s=(ticks / TICKS_PER_SECOND + compiled * COMPILE_SECONDS) / processes if left else 0.0,
     )
-
-
-def show(stream: Any = None) -> Callable[[Progress], None]:
-    """Progress as one line that is written over again; nothing where the stream is no terminal."""
-    stream = stream or sys.stderr
-    if not stream.isatty():
-        return lambda _: None
-
-    def line(p: Progress) -> None:
-        filled = round(BAR * p.done / max(p.total, 1))
-        end = "\n" if p.done == p.total else ""
-        stream.write(
-            f"\r[{'#' * filled}{'.' * (BAR - filled)}] {p.done} of {p.total} walks, {p.failed} failed, "
-            f"{p.rate:.1f} a second, {p.seconds_left:.0f} s left   {end}"
-        )
-        stream.flush()
-
-    return line
 
 
 class _Count:
     """Counts finished walks and tells."""
 
-    def __init__(self, experiment: Experiment, store: Store, tell: Callable[[Progress], None]):
-        self.total, self.tell, self.began, self.walked = experiment.rows, tell, time.perf_counter(), 0
-        parts = [store.part(chunk) for chunk in experiment.chunks if store.part(chunk).exists()]
-        found = [pl.read_parquet(part, columns=["success"]) for part in parts]
-        self.done = sum(part.height for part in found)
-        self.failed = sum(int((~part["success"]).sum()) for part in found)
+    def __init__(self, experiment: Experiment, found: Found, tell: Callable[[Progress], None]):
+        sizes = {chunk.number: chunk.stop - chunk.start for chunk in experiment.chunks}
+        self.total, self.tell, self.began = experiment.rows, tell, time.perf_counter()
+        self.done, self.failed = sum(sizes[n] for n in found.failed), sum(found.failed.values())
+        self.chunks, self.walked, self.first = 0, 0, (0, 0.0)
         self._tell()
 
     def add(self, rows: pl.DataFrame) -> None:
-        self.walked += rows.height
-        self.done += rows.height
-        self.failed += int((~rows["success"]).sum())
+        self.chunks, self.walked = self.chunks + 1, self.walked + rows.height
+        self.done, self.failed = self.done + rows.height, self.failed + failures(rows)
+        if self.chunks == 1:
+            self.first = (self.walked, time.perf_counter() - self.began)
         self._tell()
 
     def _tell(self) -> None:
-        rate = self.walked / max(time.perf_counter() - self.began, 1e-9)
-        left = (self.total - self.done) / rate if rate else float("inf")
-        self.tell(Progress(self.done, self.total, self.failed, rate, left))
+        """The first chunk took longer, since it had to be compiled: it counts only as long as there is no other."""
+        seconds, (walked, took) = time.perf_counter() - self.began, self.first
+        if self.walked > walked > 0:
+            rate = (self.walked - walked) / max(seconds - took, 1e-9)
+        else:
+            rate = self.walked / max(seconds, 1e-9) if self.walked else None
+        left = None if rate is None else (self.total - self.done) / rate
+        self.tell(Progress(self.done, self.total, self.failed, seconds, rate, left))
 
 
-def _workers(given: int | None) -> int:
-    if given is None:
-        return len(crew.gpus()) or crew.cores()
-    if not 1 <= given <= 4096:
-        raise ValueError(f"workers: got {given}, allowed: 1 to 4096")
-    return given
+@contextmanager
+def _counting(
+    experiment: Experiment, found: Found, progress: Callable[[Progress], None] | None
+) -> Iterator[_Count]:
+    """A count that tells `progress`, which is closed at the end if it can be."""
+    try:
+        yield _Count(experiment, found, progress or (lambda _: None))
+    finally:
+        getattr(progress, "close", lambda: None)()
+
+
+def _workers(given: Any) -> int | None:
+    return None if given is None else whole("workers", given, 1, MAX_WORKERS)
+
+
+def _for_this_machine() -> int:
+    return len(runtime.gpus()) or runtime.cores()

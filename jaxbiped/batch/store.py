@@ -1,4 +1,4 @@
-"""A folder that holds an experiment and what has been walked of it, and survives anything.
+"""A folder that holds an experiment and what has been simulated of it, and survives anything.
 
     experiment.json     the resolved experiment, its key, versions, device
     scenarios.parquet   the scenarios, with every input
@@ -6,75 +6,146 @@
     table.parquet       all rows, once every chunk is there
 
 Every file is written under a temporary name and renamed, so that what bears its name is whole. The key is a hash of
-the resolved experiment and of the code: finished parts count only for the experiment they were made by.
+the resolved experiment and of the code. A part says whose it is (key, chunk, rows) and carries a checksum of all its
+bytes: it counts only if all of that is right. What is damaged is set aside under another name, never deleted, and made
+again.
 """
 
-import contextlib
 import hashlib
 import io
 import json
-import os
 import platform
-import shutil
+import re
+import sys
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import polars as pl
 
+from jaxbiped import files
 from jaxbiped.batch import records
-from jaxbiped.batch.experiment import Chunk, Experiment
+from jaxbiped.batch.columns import FAILED
+from jaxbiped.batch.experiment import Chunk, Experiment, table_hash
 
 EXPERIMENT, SCENARIOS, TABLE, PARTS = "experiment.json", "scenarios.parquet", "table.parquet", "parts"
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars")
-
-PARQUET_END = b"PAR1"
+FORMAT = 2
+"""Of the folder. Version 0.1 wrote none: its parts carry no checksum, and are judged by their rows alone."""
+SEAL = "jaxbiped"
+"""Entry of a Parquet file's own metadata that says whose it is."""
+_NO_SUM = "0" * 64
+_SUM = re.compile(rb'\\?"sha256\\?": \\?"([0-9a-f]{64})\\?"')
+_PART = re.compile(r"[0-9a-f]{16}-\d{5,}\.parquet")
+Tell = Callable[[str], None]
 
 
 class StoreError(ValueError):
     """A folder that cannot be used, or a file that cannot be written."""
 
 
+class DamagedError(ValueError):
+    """A file that is not what it should be: says why."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is in a folder of an experiment."""
+
+    failed: dict[int, int]
+    """Walks that failed in every chunk whose part is there and right, by the chunk's number."""
+    damaged: dict[Path, str]
+    """Files that are not what they should be, and why."""
+
+
+def to_stderr(line: str) -> None:
+    """Say something to a person."""
+    print(f"jaxbiped: {line}", file=sys.stderr, flush=True)
+
+
 class Store:
-    """The folder of one experiment."""
+    """The folder of one experiment; nothing on the disk is touched before `open`."""
 
-    def __init__(self, folder: Path, experiment: Experiment, overwrite: bool = False):
-        """Open or make the folder.
-
-        Raises:
-            StoreError: if the folder holds another experiment, or cannot be written.
-        """
-        self.folder, self.experiment = folder, experiment
+    def __init__(self, folder: Path, experiment: Experiment, overwrite: bool = False, tell: Tell = to_stderr):
+        self.folder, self.experiment, self.overwrite, self.tell = folder, experiment, overwrite, tell
         self.description = {"experiment": experiment.resolved, "code": code()}
         self.key = _key(self.description)
+
+    def inspect(self) -> Found:
+        """Look at what is there, and change nothing.
+
+        Raises:
+            StoreError: if the folder cannot be used, or holds another experiment and `overwrite` does not allow it.
+        """
+        if why := files.why_not_writable(self.folder):
+            raise StoreError(
+                f"out: got '{self.folder}' ({why}), allowed: a folder that can be made and written"
+            )
+        damaged: dict[Path, str] = {}
+        if self._holds_another():
+            if not self.overwrite:
+                self._refuse_another()
+            return Found({}, {})
+        if self._description() is None and any(self.folder.glob(f"{PARTS}/{self.key[:16]}-*.parquet")):
+            damaged[self.folder / EXPERIMENT] = "it cannot be read"
+        if (self.folder / SCENARIOS).exists() and (why := self._scenarios_damage()):
+            damaged[self.folder / SCENARIOS] = why
+        failed = {}
+        for chunk in self.experiment.chunks:
+            part = self.part(chunk)
+            if part.exists():
+                try:
+                    failed[chunk.number] = failures(self.read(chunk))
+                except DamagedError as error:
+                    damaged[part] = str(error)
+        return Found(failed, damaged)
+
+    def open(self) -> Found:
+        """Make the folder if it is missing, and set aside what is damaged in it.
+
+        Raises:
+            StoreError: as `inspect`, and if the folder cannot be written.
+        """
+        found = self.inspect()
         try:
-            if overwrite and (folder / EXPERIMENT).exists():
+            if self._holds_another():
                 self._clear()
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / PARTS).mkdir(exist_ok=True)
-            tempfile.TemporaryFile(dir=folder / PARTS).close()
+            (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=self.folder / PARTS).close()
+            for file, why in found.damaged.items():
+                self._set_aside(file, why)
         except OSError as error:
-            raise _refusal(folder, error) from error
-        if (folder / EXPERIMENT).exists():
-            self._require_same()
-        else:
-            self._begin()
-        if not _is_whole(folder / SCENARIOS):
-            write_frame(folder / SCENARIOS, experiment.table)
+            raise _refusal(self.folder, error) from error
+        if not (self.folder / SCENARIOS).exists():
+            write_frame(self.folder / SCENARIOS, self.experiment.table)
+        if not (self.folder / EXPERIMENT).exists():
+            said = {
+                "format": FORMAT,
+                **self.description,
+                "key": self.key,
+                "seed": self.experiment.seed,
+                "machine": _machine(),
+            }
+            _write(self.folder / EXPERIMENT, json.dumps(said, indent=1))
+        return found
 
     def part(self, chunk: Chunk) -> Path:
         """File of a chunk."""
-        return self.folder / PARTS / f"{self.key[:16]}-{chunk.number:05d}.parquet"
+        return part_file(self.folder, self.key, chunk)
 
-    def missing(self) -> list[Chunk]:
-        """Chunks that are still to be walked; what is left of a part that something else broke is dropped."""
-        missing = [chunk for chunk in self.experiment.chunks if not _is_whole(self.part(chunk))]
-        for chunk in missing:
-            self.part(chunk).unlink(missing_ok=True)
-        return missing
+    def read(self, chunk: Chunk) -> pl.DataFrame:
+        """Rows of a finished chunk.
+
+        Raises:
+            DamagedError: if the file is not this chunk's, or not as it was written.
+        """
+        return read_part(self.part(chunk), self.key, self.experiment, chunk)
 
     def write(self, chunk: Chunk, rows: pl.DataFrame) -> None:
         """Keep the rows of a finished chunk.
@@ -82,92 +153,244 @@ class Store:
         Raises:
             StoreError: if they cannot be written; finished parts stay as they are.
         """
-        write_frame(self.part(chunk), rows)
+        _write(self.part(chunk), sealed(rows, {"key": self.key, **_identity(chunk)}))
 
     def finish(self) -> pl.DataFrame:
-        """Put all parts together in `table.parquet`; returns the table."""
-        table = pl.concat([pl.read_parquet(self.part(chunk)) for chunk in self.experiment.chunks])
-        write_frame(self.folder / TABLE, table.sort("row"))
-        return pl.read_parquet(self.folder / TABLE)
+        """Put all parts together in `table.parquet`; returns the table.
 
-    def _begin(self) -> None:
-        write_frame(self.folder / SCENARIOS, self.experiment.table)
-        described = {**self.description, "key": self.key, "seed": self.experiment.seed, "machine": _machine()}
-        write_bytes(self.folder / EXPERIMENT, json.dumps(described, indent=1).encode())
+        Raises:
+            StoreError: if a part was damaged since it was written, or the table cannot be written.
+        """
+        try:
+            rows = pl.concat([self.read(chunk) for chunk in self.experiment.chunks]).sort("row")
+        except DamagedError as error:
+            raise StoreError(f"out: {error}; run the same command again") from error
+        file, content = self.folder / TABLE, _parquet(rows)
+        if file.exists() and file.read_bytes() != content:
+            self._set_aside(file, "it is not what its parts say")
+        if not file.exists():
+            _write(file, content)
+        return rows
 
-    def _require_same(self) -> None:
+    def _description(self) -> dict[str, Any] | None:
+        """What the folder says it holds; None if it says nothing that can be read."""
         try:
             there = json.loads((self.folder / EXPERIMENT).read_text(encoding="utf-8"))
-            old = {name: there[name] for name in self.description}
-        except (ValueError, KeyError, TypeError):
+            return {name: there[name] for name in self.description}
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return None
+
+    def _holds_another(self) -> bool:
+        there = self._description()
+        if there is not None:
+            return there != json.loads(json.dumps(self.description))
+        return self._foreign() is not None
+
+    def _foreign(self) -> str | None:
+        """A file that is not of this experiment, in a folder that does not say what it holds."""
+        if any(self.folder.glob(f"{PARTS}/{self.key[:16]}-*.parquet")):
+            return None  # its parts say whose it is
+        for name in (EXPERIMENT, TABLE):
+            if (self.folder / name).exists():
+                return name
+        if any(self.folder.glob(f"{PARTS}/*")):
+            return PARTS
+        return SCENARIOS if (self.folder / SCENARIOS).exists() and self._scenarios_damage() else None
+
+    def _scenarios_damage(self) -> str:
+        try:
+            _require_scenarios(self.folder / SCENARIOS, self.experiment.resolved["scenarios"]["sha256"])
+        except DamagedError as error:
+            return str(error)
+        return ""
+
+    def _refuse_another(self) -> None:
+        there = self._description()
+        if there is None:
+            held = self._foreign()
+            what = f"with '{held}' of something else"
+            if held == EXPERIMENT:
+                what = f"with an {EXPERIMENT} that cannot be read"
             raise StoreError(
-                f"out: got '{self.folder}' with an {EXPERIMENT} that cannot be read, allowed: a folder of this "
-                "experiment or an empty one; or overwrite it"
-            ) from None
-        new = json.loads(json.dumps(self.description))
-        different = list(records.differences(old, new))
-        if different:
-            more = f" and {len(different) - 3} more" if len(different) > 3 else ""
-            raise StoreError(
-                f"out: got '{self.folder}', which holds another experiment ({'; '.join(different[:3])}{more}), "
-                "allowed: another folder, or overwrite it"
+                f"out: got '{self.folder}' {what}, allowed: a folder of this experiment, one that is empty or new, "
+                "or overwrite it"
             )
+        different = list(records.differences(there, json.loads(json.dumps(self.description))))
+        more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+        raise StoreError(
+            f"out: got '{self.folder}', which holds another experiment ({'; '.join(different[:3])}{more}), "
+            "allowed: another folder, or overwrite it"
+        )
+
+    def _set_aside(self, file: Path, why: str) -> None:
+        if file.exists():
+            self.tell(f"'{file}' is damaged ({why}): set aside as '{files.set_aside(file).name}', made again")
 
     def _clear(self) -> None:
-        """What depends on a file goes before it, so that a kill in between leaves nothing without its description."""
+        """Delete what a batch wrote, and nothing else.
+
+        What depends on a file goes before it, so that a kill in between leaves nothing without its description.
+        """
         (self.folder / TABLE).unlink(missing_ok=True)
-        shutil.rmtree(self.folder / PARTS, ignore_errors=True)
-        for name in (EXPERIMENT, SCENARIOS):
+        for part in (self.folder / PARTS).glob("*.parquet"):
+            if _PART.fullmatch(part.name):
+                part.unlink(missing_ok=True)
+        for name in (SCENARIOS, EXPERIMENT):
             (self.folder / name).unlink(missing_ok=True)
 
 
-def open_table(path: Path) -> tuple[Experiment, pl.DataFrame]:
-    """The experiment and the rows, finished so far, of a folder or its `table.parquet`.
+def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl.DataFrame]:
+    """The experiment and the rows, finished so far, of a folder or its `table.parquet`; nothing on the disk is changed.
+
+    Args:
+        path: folder that a batch was run in, or the table in it.
+        tell: is told of every part that is damaged, and therefore left out.
 
     Raises:
         StoreError: if there is none, or it cannot be read.
     """
+    path = Path(path)
     folder = path.parent if path.name == TABLE else path
     try:
         described = json.loads((folder / EXPERIMENT).read_text(encoding="utf-8"))
-        scenarios = pl.read_parquet(folder / SCENARIOS)
+        key, version = described["key"], described.get("format", 1)
+        if version not in range(1, FORMAT + 1):
+            raise ValueError(f"its format is {version!r}, this version reads up to {FORMAT}")
+        if key != _key({name: described[name] for name in ("experiment", "code")}):
+            raise DamagedError(f"{EXPERIMENT} was changed: its key is not that of what it says")
+        scenarios = _require_scenarios(folder / SCENARIOS, described["experiment"]["scenarios"]["sha256"])
         experiment = Experiment.from_resolved(described["experiment"], scenarios)
-        parts = sorted((folder / PARTS).glob(f"{described['key'][:16]}-*.parquet"))
-        rows = [pl.read_parquet(part) for part in parts]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, pl.exceptions.PolarsError) as error:
-        raise StoreError(
-            f"table: got '{path}' ({' '.join(str(error).split())[:120]}), allowed: a folder that a batch was run in"
-        ) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        why = " ".join(str(error).split())[:160]
+        raise StoreError(f"table: got '{path}' ({why}), allowed: a folder that a batch was run in") from None
+    rows = []
+    for chunk in experiment.chunks:
+        part = part_file(folder, key, chunk)
+        if part.exists():
+            try:
+                rows.append(read_part(part, key if version > 1 else None, experiment, chunk))
+            except DamagedError as error:
+                tell(f"'{part}' is damaged ({error}): left out; running the same command again makes it anew")
     if not rows:
         raise StoreError(f"table: got '{path}' without a finished chunk, allowed: a folder with some rows")
     return experiment, pl.concat(rows).sort("row")
 
 
-def write_frame(path: Path, frame: pl.DataFrame) -> None:
-    """Write a Parquet file under a temporary name and rename it."""
+def failures(rows: pl.DataFrame) -> int:
+    """How many walks were no success, or ended in a fall after it."""
+    return rows.filter(~pl.col("success") | pl.col("status").is_in(FAILED)).height
+
+
+def part_file(folder: Path, key: str, chunk: Chunk) -> Path:
+    """File of a chunk of the experiment with this key."""
+    return folder / PARTS / f"{key[:16]}-{chunk.number:05d}.parquet"
+
+
+def read_part(path: Path, key: str | None, experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
+    """Rows of a chunk, if the file is that chunk's and as it was written.
+
+    Args:
+        path: of the file.
+        key: of the experiment; None for a part of version 0.1, which says neither whose it is nor its checksum.
+        experiment: whose part it is.
+        chunk: which part.
+
+    Raises:
+        DamagedError: if it is not: says why.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DamagedError(error.strerror or str(error)) from None
+    if key is not None:
+        _require_sum(content)
+    frame = _frame(content)
+    if key is not None:
+        _require_seal(content, {"key": key, **_identity(chunk)})
+    inputs = experiment.table[chunk.start : chunk.stop]
+    expected = {
+        "row": np.arange(chunk.stop - chunk.start) + chunk.first_row + chunk.start,
+        "arm": [chunk.arm] * inputs.height,
+        "scenario": np.arange(chunk.start, chunk.stop),
+    }
+    for name, values in {**expected, **{name: inputs[name] for name in inputs.columns}}.items():
+        if name not in frame.columns or not frame[name].equals(pl.Series(name, values), check_dtypes=False):
+            raise DamagedError(f"its column '{name}' is not that of chunk {chunk.number}")
+    lacking = [name for name in ("success", "status") if name not in frame.columns]
+    if lacking:
+        raise DamagedError(f"it has no column '{lacking[0]}'")
+    return frame
+
+
+def sealed(frame: pl.DataFrame, identity: dict[str, Any]) -> bytes:
+    """A Parquet file that says whose it is and carries a SHA-256 of all its bytes, with zeros in its own place."""
+    content = _parquet(frame, {SEAL: json.dumps({**identity, "sha256": _NO_SUM})})
+    digest = hashlib.sha256(content).hexdigest()
+    return content.replace(_NO_SUM.encode(), digest.encode())
+
+
+def _require_sum(content: bytes) -> None:
+    found = {match[1] for match in _SUM.finditer(content[-(1 << 16) :])}
+    if len(found) != 1:
+        raise DamagedError("it carries no checksum" if not found else "it carries two checksums")
+    digest = found.pop()
+    if hashlib.sha256(content.replace(digest, _NO_SUM.encode())).hexdigest().encode() != digest:
+        raise DamagedError("its checksum is wrong")
+
+
+def _require_seal(content: bytes, identity: dict[str, Any]) -> None:
+    said = json.loads(pl.read_parquet_metadata(io.BytesIO(content))[SEAL])
+    for name, value in identity.items():
+        if said.get(name) != value:
+            raise DamagedError(f"it is of another {'experiment' if name == 'key' else name}")
+
+
+def _identity(chunk: Chunk) -> dict[str, Any]:
+    first = chunk.first_row + chunk.start
+    return {"chunk": chunk.number, "arm": chunk.arm, "rows": [first, first + chunk.stop - chunk.start]}
+
+
+def _require_scenarios(path: Path, sha256: str) -> pl.DataFrame:
+    """The scenarios in a file, if they are those of the experiment."""
+    try:
+        table = _frame(path.read_bytes())
+    except (OSError, DamagedError) as error:
+        raise DamagedError(f"{path.name}: {error}") from None
+    if any(not dtype.is_numeric() for dtype in table.dtypes) or table_hash(table) != sha256:
+        raise DamagedError(f"{path.name} is not the one the experiment was begun with")
+    return table
+
+
+def _frame(content: bytes) -> pl.DataFrame:
+    try:
+        return pl.read_parquet(io.BytesIO(content))
+    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+        raise DamagedError(f"no Parquet file: {' '.join(str(error).split())[:80]}") from None
+    except BaseException as error:  # polars panics over some broken files; a panic is no Exception
+        if type(error).__name__ != "PanicException":
+            raise
+        raise DamagedError("no Parquet file that can be read") from None
+
+
+def _parquet(frame: pl.DataFrame, said: dict[str, str] | None = None) -> bytes:
     buffer = io.BytesIO()
-    frame.rechunk().write_parquet(buffer)
-    write_bytes(path, buffer.getvalue())
+    frame.rechunk().write_parquet(buffer, metadata=said or {})
+    return buffer.getvalue()
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name and rename it.
+def write_frame(path: Path, frame: pl.DataFrame) -> None:
+    """Write a Parquet file as a whole.
 
     Raises:
         StoreError: if it cannot be written; an older file of that name stays.
     """
-    name = None
+    _write(path, _parquet(frame))
+
+
+def _write(path: Path, content: bytes | str) -> None:
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            name = file.name
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-        _keep_name(path)
+        files.write(path, content)
     except OSError as error:
-        if name is not None:
-            Path(name).unlink(missing_ok=True)
         raise _refusal(path, error) from error
 
 
@@ -186,26 +409,6 @@ def source_hash() -> str:
             digest.update(str(file.relative_to(root)).encode())
             digest.update(file.read_bytes())
     return digest.hexdigest()
-
-
-def _is_whole(path: Path) -> bool:
-    """Whether a Parquet file is there and ends as one: a disk that was lost or filled by others may have cut it."""
-    try:
-        with path.open("rb") as file:
-            file.seek(-len(PARQUET_END), os.SEEK_END)
-            return file.read() == PARQUET_END
-    except OSError:
-        return False
-
-
-def _keep_name(path: Path) -> None:
-    """Have the disk keep the new name of a file, where it can be asked to."""
-    with contextlib.suppress(OSError):
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
 
 def _key(description: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from jaxbiped.batch.inputs import NEVER
+from jaxbiped.batch.inputs import INPUTS, NEVER, height_column, steps_of
 
 CONFIDENCE = 0.95
 """Of every interval here."""
@@ -22,24 +22,6 @@ RESAMPLES = 10_000
 """Of the bootstrap."""
 UP, DOWN = "up", "down"
 """Ways a limit is looked for."""
-NAMES = ("row", "arm", "scenario", "seed")
-"""Columns that number or name a walk: neither quantities it was given nor what came of it."""
-OUTCOMES = (
-    *(
-        "status",
-        "success",
-        "finished",
-        "end_time_s",
-        "reflexes",
-        "trigger_s",
-        "peak_roll_deg",
-        "peak_pitch_deg",
-    ),
-    *("peak_force_left_N", "peak_force_right_N", "touchdown_force_left_N", "touchdown_force_right_N"),
-    *("touchdown_impulse_left_Ns", "touchdown_impulse_right_Ns", "slip_left_m", "slip_right_m"),
-    *("zmp_margin_m", "reach_margin_m", "out_of_reach_s", "missed", "x_m", "y_m"),
-)
-"""Columns of what came of a walk; all other columns but NAMES are inputs."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +94,9 @@ def arms(table: pl.DataFrame) -> list[str]:
 
 
 def inputs(table: pl.DataFrame) -> list[str]:
-    """Columns of the quantities a walk was given."""
-    given = [name for name in table.columns if name not in (*NAMES, *OUTCOMES)]
-    return [name for name in given if table[name].dtype.is_numeric()]
+    """Columns of the quantities a walk was given, in the table's order: declared inputs only."""
+    declared = {*INPUTS, *map(height_column, steps_of(table.columns))}
+    return [name for name in table.columns if name in declared]
 
 
 def without_never(table: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:

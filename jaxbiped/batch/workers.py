@@ -5,11 +5,13 @@ import contextlib
 import ctypes
 import gc
 import logging
+import multiprocessing
 import os
 import queue
 import re
 import resource
 import sys
+import tempfile
 import time
 import uuid
 from collections.abc import Generator
@@ -20,22 +22,11 @@ from typing import Any
 import jax
 import polars as pl
 
+from jaxbiped import runtime
 from jaxbiped.batch.experiment import Chunk, Experiment
 from jaxbiped.batch.part import walk_chunk
 from jaxbiped.batch.store import code
 
-ONE_THREAD = {
-    "NPROC": "1",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false --xla_cpu_parallel_codegen_split_count=1",
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "POLARS_MAX_THREADS": "1",
-    "MALLOC_ARENA_MAX": "1",
-    "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
-}
-"""Environment of a process that is to use one core (XLA makes as many threads as NPROC says), and less memory to
-compile; XLA reads it when it is first used."""
 ROOM_MIB = 1200.0
 """Of memory, over which a worker forgets what it has compiled for another kind of arm before it compiles again."""
 DEATHS = 10
@@ -60,6 +51,8 @@ CONNECT_S = 10
 """How long a scheduler may take to answer."""
 ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})")
 """Of a scheduler."""
+UNGUARDED = "JAXBIPED_UNGUARDED"
+"""Environment of the workers: the file to be made by one that runs its parent's script."""
 Done = Generator[tuple[Chunk, pl.DataFrame], None, None]
 
 
@@ -67,40 +60,16 @@ class WorkersError(RuntimeError):
     """Workers that cannot be had or are lost; what they have finished is kept."""
 
 
-def use_threads(count: int = 1) -> None:
-    """Keep XLA in this process to so many threads, unless it is already running or its flags are set."""
-    for name, value in {**ONE_THREAD, "NPROC": str(count)}.items():
-        os.environ.setdefault(name, value)
+def require_main_guard() -> None:
+    """End this process, if it is a worker that runs its parent's script instead of waiting for work.
 
-
-def threads() -> int:
-    """How many compiled functions can run at once in this process: one on each of XLA's threads, one on a GPU."""
-    if jax.default_backend() != "cpu":
-        return 1
-    given = os.environ.get("NPROC", "")
-    return min(cores(), int(given)) if given.isdecimal() else cores()
-
-
-def keep_compiled_kernels() -> None:
-    """Let JAX keep compiled kernels between runs; JAX_COMPILATION_CACHE_DIR, if set, says where."""
-    if jax.config.values["jax_compilation_cache_dir"] is not None:
-        return
-    default = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or default) / "jaxbiped" / "jax"
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-
-
-def gpus() -> list[str]:
-    """Numbers of the GPUs of this machine, as CUDA_VISIBLE_DEVICES has them."""
-    found = [device for device in jax.local_devices() if device.platform != "cpu"]
-    allowed = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
-    return [allowed[i] if len(allowed) == len(found) else str(i) for i in range(len(found))]
-
-
-def cores() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    Workers are started as copies of the script that runs, without its `if __name__ == "__main__":`. Where a script has
+    none, every worker would start workers of its own. It leaves word of that, and the parent says so in one line.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False) and UNGUARDED in os.environ:
+        with contextlib.suppress(OSError):
+            Path(os.environ[UNGUARDED]).touch()
+        os._exit(1)
 
 
 def in_this_process(experiment: Experiment, chunks: list[Chunk]) -> Done:
@@ -226,17 +195,17 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.nanny.pre-spawn-environ": {
             **config.get("distributed.nanny.pre-spawn-environ"),
-            **ONE_THREAD,
+            **runtime.ONE_THREAD,
         },
         "distributed.admin.large-graph-warning-threshold": "1 TB",
         "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
-        "distributed.worker.preload": [WORKER_SCRIPT.format(gpus=gpus())],
+        "distributed.worker.preload": [WORKER_SCRIPT.format(gpus=runtime.gpus())],
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
         "distributed.worker.memory.terminate": False,
     }
-    with config.set(settings), _silence():
+    with config.set(settings), _silence(), _main_guard(settings["distributed.nanny.pre-spawn-environ"]):
         if scheduler is not None:
             _greet(scheduler)
             with distributed.Client(scheduler, timeout=f"{CONNECT_S}s", set_as_default=False) as client:
@@ -254,6 +223,23 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
             distributed.Client(cluster, set_as_default=False) as client,
         ):
             yield client
+
+
+@contextlib.contextmanager
+def _main_guard(environment: dict[str, str]) -> Generator[None, None, None]:
+    """Say in one line that a script has no `if __name__ == "__main__":`, instead of all that comes of it."""
+    with tempfile.TemporaryDirectory(prefix="jaxbiped-") as folder:
+        word = Path(folder) / "unguarded"
+        environment[UNGUARDED] = str(word)
+        try:
+            yield
+        except Exception:
+            if not word.exists():
+                raise
+            raise WorkersError(
+                "workers: got a script that starts itself in every worker, allowed: 1 worker, or a script that runs "
+                "what it does under `if __name__ == '__main__':`"
+            ) from None
 
 
 def _greet(scheduler: str) -> None:

@@ -1,28 +1,63 @@
 """What the commands that walk batches share: their arguments, their run, their tables and pages."""
 
 import math
-from collections.abc import Iterable, Mapping
+import shlex
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import Any, Protocol
 
 import polars as pl
 
 from jaxbiped import adapt, batch, robot
-from jaxbiped.batch import summary
+from jaxbiped.batch import columns, progress, store, summary
+from jaxbiped.batch.experiment import MAX_BATCH
+from jaxbiped.batch.run import MAX_WORKERS
 from jaxbiped.commands.choices import landing_of, load_arm, reflex_of
-from jaxbiped.commands.common import InputError
+from jaxbiped.commands.common import InputError, make_writable, require_folder, require_free, say, whole
 
 WORKERS_HELP = "Processes; 1 walks in this one. Default: one for each core, or for each GPU."
 SCHEDULER_HELP = "Address of a Dask scheduler (tcp://host:port) whose workers are to walk instead."
 BATCH_HELP = "Walks simulated at once; other sizes round differently. Default: up to 128."
-OVERWRITE_HELP = "Drop what another experiment left in the folder."
-DRY_RUN_HELP = "Only say what would be done: walks, chunks, memory of a worker, time."
+OVERWRITE_HELP = (
+    "Drop what another experiment left in the folder. Without it nothing is ever replaced or deleted; what this very "
+    "experiment left is kept in any case."
+)
+DRY_RUN_HELP = "Only say what would be done: walks, chunks, memory of a worker, time. Touches nothing."
 
 
 class WorkersLost(RuntimeError):
     """The workers are gone; what they finished is kept."""
+
+
+class Command(Protocol):
+    """Arguments that every command has that runs a batch."""
+
+    out: Path
+    workers: int | None
+    scheduler: str | None
+    batch: int | None
+    seed: int
+    overwrite: bool
+
+
+def check(command: Command) -> None:
+    """Refuse what can be refused without any work: numbers, addresses, the folder.
+
+    Raises:
+        InputError: naming the argument, what was got and what is allowed.
+    """
+    if command.workers is not None:
+        whole("--workers", command.workers, 1, MAX_WORKERS)
+    if command.batch is not None:
+        whole("--batch", command.batch, 1, MAX_BATCH)
+    whole("--seed", command.seed, 0, 2**31 - 1)
+    if command.scheduler is not None:
+        try:
+            batch.require_address(command.scheduler)
+        except ValueError as error:
+            raise InputError(_as_argument(str(error))) from None
+    require_folder(command.out)
 
 
 def numbers(argument: str, values: Iterable[float], unit: str, low: float, high: float) -> list[float]:
@@ -70,18 +105,41 @@ def _arms(names: Iterable[str], allowed: tuple[str, ...], params: Any, gait: Any
     return found
 
 
-def walk(
-    experiment: batch.Experiment, out: Path, workers: int | None, scheduler: str | None, overwrite: bool
-) -> pl.DataFrame:
-    """Run an experiment for a command: with progress, and with refusals that name the arguments."""
+def walk(experiment: batch.Experiment, command: Command, figures: Iterable[str] = ()) -> pl.DataFrame:
+    """Run an experiment for a command: with progress, and with refusals that name the arguments.
+
+    Args:
+        experiment: what to simulate.
+        command: where and how.
+        figures: names of the files that will be drawn into the folder, which must not be somebody else's.
+    """
+    claim(experiment, command, figures)
+    make_writable(command.out)
     try:
-        return batch.run(experiment, out, workers, scheduler, overwrite, batch.show())
+        return batch.run(
+            experiment,
+            command.out,
+            command.workers,
+            command.scheduler,
+            command.overwrite,
+            batch.show(),
+            say,
+        )
     except (batch.StoreError, ValueError) as error:
         raise InputError(_as_argument(str(error))) from None
     except batch.WorkersError as error:
         raise WorkersLost(
-            f"{error}; what was finished is kept in '{out}', run the same command again"
+            f"{error}; what was finished is kept in '{command.out}', run the same command again"
         ) from None
+
+
+def claim(experiment: batch.Experiment, command: Command, figures: Iterable[str] = ()) -> None:
+    """Refuse a folder that holds something else; nothing is touched."""
+    require_free(command.out, figures, (command.out / store.EXPERIMENT).exists(), command.overwrite)
+    try:
+        store.Store(command.out, experiment, command.overwrite).inspect()
+    except batch.StoreError as error:
+        raise InputError(_as_argument(str(error))) from None
 
 
 def experiment(*given: Any, **named: Any) -> batch.Experiment:
@@ -92,17 +150,18 @@ def experiment(*given: Any, **named: Any) -> batch.Experiment:
         raise InputError(_as_argument(str(error))) from None
 
 
-def dry_run(one: batch.Experiment, out: Path, workers: int | None) -> dict[str, Any]:
-    """Say what a run would do."""
+def dry_run(experiment: batch.Experiment, command: Command) -> dict[str, Any]:
+    """Say what a run would do; touches nothing."""
     try:
-        plan = batch.plan(one, out, workers)
+        plan = batch.plan(experiment, command.out, command.workers, command.overwrite)
     except ValueError as error:
         raise InputError(_as_argument(str(error))) from None
     print(
         f"{plan.walks} walks: {plan.scenarios} scenarios with each of {plan.arms} arms, {plan.simulated_s:,.0f} s "
         f"of walking\n{plan.chunks} chunks of {plan.lanes} walks, {plan.chunks_done} done already; "
-        f"{plan.workers} workers of about {plan.memory_per_worker_MiB:,.0f} MiB; "
-        f"about {plan.wall_time_s / 60.0:.1f} min"
+        f"{plan.workers} {'worker' if plan.workers == 1 else 'workers'} of about "
+        f"{plan.memory_per_worker_MiB:,.0f} MiB; about {progress.duration(plan.wall_time_s)}"
+        + "".join(f"\ndamaged, to be set aside and made again: {file}" for file in plan.damaged)
     )
     return {"plan": asdict(plan)}
 
@@ -110,10 +169,13 @@ def dry_run(one: batch.Experiment, out: Path, workers: int | None) -> dict[str, 
 def rates(table: pl.DataFrame) -> list[str]:
     """Success of every arm in words, with its 95 % interval, and against the first arm."""
     lines, names = [], summary.arms(table)
+    late = table.filter(pl.col("success") & pl.col("status").is_in(columns.FAILED))
     for row in summary.cells(table).iter_rows(named=True):
+        fell = late.filter(pl.col("arm") == row["arm"]).height
         lines.append(
             f"{row['arm']}: {row['successes']} of {row['n']} succeed ({row['rate']:.1%}, 95 % interval "
             f"{row['low']:.1%} to {row['high']:.1%})"
+            + (f"; {fell} of them {'falls' if fell == 1 else 'fall'} after that" if fell else "")
         )
     for name in names[1:]:
         one = summary.paired(table, name, names[0])
@@ -123,14 +185,21 @@ def rates(table: pl.DataFrame) -> list[str]:
     return lines
 
 
+def again(table: pl.DataFrame, out: Path) -> list[str]:
+    """How to see the first walk that failed, if any did."""
+    failed = table.filter(~pl.col("success") | pl.col("status").is_in(columns.FAILED))
+    if failed.is_empty():
+        return []
+    rows = ", ".join(map(str, failed["row"].head(8))) + (", ..." if failed.height > 8 else "")
+    return [
+        f"{failed.height} {'walk fails' if failed.height == 1 else 'walks fail'} (rows {rows}); to see one: "
+        f"jaxbiped replay {shlex.quote(str(out))} {failed['row'][0]}"
+    ]
+
+
 def number_or_none(value: float | None, digits: int = 4) -> float | None:
     """For JSON, which has no NaN."""
     return None if value is None or not math.isfinite(value) else round(value, digits)
-
-
-def save(figures: ModuleType, drawn: Mapping[str, Any], out: Path) -> list[str]:
-    """Save figures as PNG files; returns their names."""
-    return [str(figures.save(figure, out / f"{name}.png")) for name, figure in drawn.items()]
 
 
 def _as_argument(text: str) -> str:

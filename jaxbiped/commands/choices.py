@@ -1,31 +1,36 @@
 """What names on the command line stand for: gaits, simulations, arms of adaptation."""
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
-from jaxbiped import adapt, planner, robot, sim
-from jaxbiped.adapt import tunables
+from jaxbiped import adapt, checked, planner, robot, sim
+from jaxbiped.adapt import landing, payload, tunables
+from jaxbiped.checked import Quantity, Refusal, Word
 from jaxbiped.commands.common import InputError
 
 GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
 OWN_GAIT = {"elkahlout": "cosine"}
-"""The gait of each robot's own paper, where it is not the polynomial one."""
+"""The gait of each preset robot's own paper, where it is not the polynomial one."""
 MOST_STEPS = 200
 OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = "off", "paper", "original", "modified", "repaired"
 LANDINGS = (OFF, PAPER, REPAIRED)
 REFLEXES = (OFF, ORIGINAL, MODIFIED, REPAIRED)
+STAGES: dict[str, dict[str, checked.Field]] = {
+    "landing": {"base": Word(LANDINGS), **landing.PARAMETERS},
+    "payload": {"base": Word(REFLEXES), **payload.PARAMETERS},
+}
+"""What the tables of the stages in the file of an arm may hold."""
 
 
 def own_gait(params: robot.RobotParams) -> str:
-    """Name of the gait of the robot's own paper."""
-    return OWN_GAIT.get(params.name, "polynomial")
+    """Name of the gait of the robot's own paper, or of the paper of the robot it walks like."""
+    return OWN_GAIT.get(params.preset_name, "polynomial")
 
 
 def make_gait(params: robot.RobotParams, name: str, steps: int) -> Any:
     """The preset gait of a robot."""
     if name not in GAITS:
-        raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}")
+        raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}{checked.nearest(name, GAITS)}")
     if not 1 <= steps <= MOST_STEPS:
         raise InputError(f"--steps: got {steps}, allowed: 1 to {MOST_STEPS}")
     try:
@@ -36,7 +41,7 @@ def make_gait(params: robot.RobotParams, name: str, steps: int) -> Any:
 
 def simulation_options(params: robot.RobotParams, gait: Any) -> sim.Options:
     """The thesis' own walk by its own means: no feed-forward, control every tick, trunk with load by Eqs. 3.8-3.10."""
-    thesis = params.name == "elkahlout" and isinstance(gait, planner.CosineGait)
+    thesis = params.preset_name == "elkahlout" and isinstance(gait, planner.CosineGait)
     return sim.Options(
         control_every=1 if thesis else 4,
         feed_forward=not thesis,
@@ -68,55 +73,73 @@ def arm_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
     """The tables [landing], [payload] and [gait] of the TOML file of an arm, those that it has.
 
     The first two have `base`, the name of an arm, and any of the parameters of that stage; the last one parameters of
-    the gait. Other tables, as of where the numbers came from, are not read.
+    the gait. The table [origin], where the numbers came from, may hold anything and is not read.
+
+    Args:
+        argument: what to name in a refusal.
+        path: of the file.
 
     Raises:
-        InputError: if the file cannot be read or lacks what it must have.
+        InputError: if the file cannot be read, lacks what it must have, or has what it must not have.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{argument}: got '{path}' ({error}), allowed: a TOML file of an arm") from None
-    bases = {"landing": LANDINGS, "payload": REFLEXES}
-    tables = {name: data[name] for name in (*bases, "gait") if name in data}
-    if not tables:
-        raise InputError(
-            f"{argument}: got '{path}', allowed: a file with a table [landing], [payload] or [gait]"
-        )
-    for name, table in tables.items():
-        if not isinstance(table, dict):
-            raise InputError(f"{argument}: got {name} = {table!r} in '{path}', allowed: a table [{name}]")
-        if name in bases and table.get("base") not in bases[name]:
-            raise InputError(
-                f"{argument}: got base {table.get('base')!r} of [{name}] in '{path}', allowed: "
-                f"{', '.join(bases[name])}"
-            )
+        data = checked.read_toml(path)
+        checked.refuse_unknown("", data, (*STAGES, "gait", "origin"))
+        if not isinstance(data.get("origin", {}), dict):
+            raise Refusal(f"origin: got {checked.shown(data['origin'])}, allowed: a table [origin]")
+        tables = {
+            name: checked.read_table(name, data[name], fields, ("base",))
+            for name, fields in STAGES.items()
+            if name in data
+        }
+        for name, table in tables.items():
+            if table["base"] == OFF and len(table) > 1:
+                others = ", ".join(key for key in table if key != "base")
+                raise Refusal(
+                    f"{name}: got {others} with base = '{OFF}', allowed: nothing else with that base"
+                )
+        if "gait" in data:
+            tables["gait"] = _gait_table(data["gait"])
+        if not tables:
+            raise Refusal("got no table, allowed: a file with a table [landing], [payload] or [gait]")
+    except Refusal as error:
+        raise InputError(f"{argument}: '{path}': {str(error).removeprefix(f'{path.name}: ')}") from None
     return tables
 
 
 def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) -> adapt.Controller:
     """A controller from the TOML file of an arm; stages that have no table are off.
 
+    Args:
+        argument: what to name in a refusal.
+        path: of the file.
+        params: the robot.
+        gait: its gait, unless the file changes it.
+
     Raises:
         InputError: if the file cannot be read or says what cannot be meant.
     """
     tables = arm_tables(argument, path)
-    landing, payload = ({"base": OFF, **tables.get(name, {})} for name in ("landing", "payload"))
+    own, reflex = ({"base": OFF, **tables.get(name, {})} for name in STAGES)
     try:
         gait = _other_gait(tables.get("gait", {}), params, gait)
         return adapt.Controller(
             gait,
-            landing=landing_of(landing.pop("base"), **landing),
-            payload=reflex_of(payload.pop("base"), params, gait, **payload),
+            landing=landing_of(own.pop("base"), **own),
+            payload=reflex_of(reflex.pop("base"), params, gait, **reflex),
         )
     except (TypeError, ValueError) as error:
         raise InputError(f"{argument}: '{path}': {error}") from None
 
 
-def _other_gait(table: dict[str, Any], params: robot.RobotParams, gait: Any) -> Any:
+def _gait_table(table: Any) -> dict[str, float]:
+    """The values of a table [gait]; which names and ranges there are is up to the gait."""
+    if not isinstance(table, dict):
+        raise Refusal(f"gait: got {checked.shown(table)}, allowed: a table [gait]")
+    return {name: Quantity().check(f"gait.{name[:80]}", value) for name, value in table.items()}
+
+
+def _other_gait(table: dict[str, float], params: robot.RobotParams, gait: Any) -> Any:
     """The gait with the values of a table [gait]."""
-    allowed = tunables.gait_fields(gait)
-    for name, value in table.items():
-        if name not in allowed or not isinstance(value, int | float):
-            raise ValueError(f"[gait]: got {name} = {value!r}, allowed: numbers for {', '.join(allowed)}")
-    return tunables.other_gait(params, gait, {name: float(value) for name, value in table.items()})
+    quantities = {name: type(gait).quantities.get(name, Quantity()) for name in tunables.gait_fields(gait)}
+    return tunables.other_gait(params, gait, checked.read_table("gait", table, quantities))

@@ -1,28 +1,50 @@
-"""What the commands share: refusals, robots, writable folders, targets over time."""
+"""What the commands share: refusals, robots, output folders, figures, targets over time."""
 
 import contextlib
+import importlib.util
+import json
+import math
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
-from jaxbiped import planner, robot, sim
+from jaxbiped import checked, files, planner, robot, runtime, sim
+
+OVERWRITE_HELP = (
+    "Replace what something else left in the folder; without it nothing is ever replaced or deleted."
+)
 
 
 class InputError(ValueError):
     """Input that cannot be used: one line with the argument, what was got and what is allowed."""
 
 
-def figures_module() -> ModuleType:
-    """The figures, imported only when a command draws: matplotlib is an extra."""
+def figures_module() -> ModuleType | None:
+    """The figures, imported only when a command draws; None without matplotlib, which is an extra."""
+    if importlib.util.find_spec("matplotlib") is None:
+        return None
     from jaxbiped import report
 
     return report
+
+
+def figures_or_word() -> ModuleType | None:
+    """The figures; without matplotlib none, and a word on how to get them."""
+    figures = figures_module()
+    if figures is None:
+        say("no figures were drawn: pip install 'jaxbiped[viz]'")
+    return figures
+
+
+def say(line: str) -> None:
+    """Say something beside the results, on standard error."""
+    print(f"jaxbiped: {line}", file=sys.stderr, flush=True)
 
 
 def load_robot(argument: str, name_or_path: str) -> robot.RobotParams:
@@ -37,22 +59,89 @@ def load_robot(argument: str, name_or_path: str) -> robot.RobotParams:
         ) from None
 
 
+def whole(argument: str, given: Any, low: int, high: int) -> int:
+    """A whole number of an argument, within its range."""
+    try:
+        return checked.whole(argument, given, low, high)
+    except checked.Refusal as error:
+        raise InputError(str(error)) from None
+
+
 @contextlib.contextmanager
 def refusing(out: Path, allowed: str) -> Iterator[None]:
     """Turn an error of the file system into one about --out."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"--out: got '{out}' ({error.strerror}), allowed: {allowed}") from None
+        place = error.filename or out
+        raise InputError(f"--out: got '{place}' ({error.strerror or error}), allowed: {allowed}") from None
+
+
+def require_folder(out: Path) -> None:
+    """Refuse what cannot become a folder to write into; nothing is touched."""
+    if why := files.why_not_writable(out):
+        raise InputError(f"--out: got '{out}' ({why}), allowed: a folder that can be made and written")
+
+
+def require_free(out: Path, names: Iterable[str], ours: bool, overwrite: bool) -> None:
+    """Refuse a folder in which files of something else would be replaced.
+
+    Args:
+        out: the folder.
+        names: of the files that would be written.
+        ours: whether the folder says that it holds the very same thing.
+        overwrite: whether they may be replaced.
+    """
+    there = [] if ours or overwrite else [name for name in names if (out / name).exists()]
+    if there:
+        raise InputError(
+            f"--out: got '{out}', which holds {there[0]} of something else, allowed: another folder, or --overwrite"
+        )
+
+
+def key_in(file: Path) -> str | None:
+    """The key of what a JSON file says it is of; None if there is none."""
+    try:
+        return json.loads(file.read_text(encoding="utf-8")).get("key")
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return None
 
 
 def make_writable(folder: Path) -> None:
     """Make the folder if it is missing, and try to write into it before any work is done."""
-    folder.mkdir(parents=True, exist_ok=True)
-    tempfile.TemporaryFile(dir=folder).close()
+    with refusing(folder, "a folder that can be made and written"):
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
 
 
-@eqx.filter_jit
+def write(file: Path, content: bytes | str) -> Path:
+    """Write a file as a whole, or refuse in the words of the command line."""
+    with refusing(file, "a place that can be written, with room for the file"):
+        return files.write(file, content)
+
+
+def plain(value: Any) -> Any:
+    """For JSON, which has no NaN and nothing infinite: null in their place."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def save(figures: ModuleType, drawn: Mapping[str, Any], out: Path) -> list[str]:
+    """Save figures as PNG files; returns their names."""
+    with refusing(out, "a place that can be written, with room for the figures; the numbers are kept"):
+        return [str(figures.save(figure, out / f"{name}.png")) for name, figure in drawn.items()]
+
+
+def draw(make: Callable[[ModuleType], Mapping[str, Any]], out: Path) -> list[str]:
+    """Draw and save figures where they can be drawn; returns the names of the files."""
+    figures = figures_or_word()
+    return [] if figures is None else save(figures, make(figures), out)
+
+
+@runtime.jit
 def targets_at(gait: Any, times: Any) -> planner.Targets:
     """Targets of a gait at many times [s], as a leading axis."""
     return jax.vmap(lambda t: planner.at(gait, t))(times)

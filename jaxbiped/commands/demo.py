@@ -1,5 +1,7 @@
 """`jaxbiped demo`: the main job in the small, on both robots: plans, a grid of loads, a grid of obstacles, one page."""
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,17 +14,41 @@ import polars as pl
 from tyro.conf import arg
 
 from jaxbiped import adapt, batch, kinematics, planner, robot, sim
+from jaxbiped.batch import store
+from jaxbiped.batch.run import MAX_WORKERS
 from jaxbiped.commands import batches, obstacles, payload, replay
 from jaxbiped.commands.choices import clock_start
 from jaxbiped.commands.common import (
+    OVERWRITE_HELP,
+    draw,
     figures_module,
+    key_in,
     make_writable,
     outcome,
     outcome_in_words,
+    plain,
     refusing,
+    require_folder,
+    require_free,
     targets_at,
+    whole,
+    write,
 )
 
+NUMBERS, PAGE = "demo.json", "demo.html"
+FIGURES = (
+    "khadiv_fig6_feet",
+    "khadiv_fig7_pelvis",
+    "khadiv_fig8_zmp_x",
+    "khadiv_fig9_zmp_y",
+    "surena3_feasibility",
+    "elkahlout_fig3_2_feet",
+    "elkahlout_zmp_x",
+    "elkahlout_zmp_y",
+    "elkahlout_feasibility",
+    "surena3_obstacles_tilt_and_forces",
+    "surena3_obstacles_modifications",
+)
 N_STEPS = 8
 """Steps of the demonstration: four walking cycles, as in khadiv section 4."""
 OBSTACLES = {2: 0.03, 4: 0.02, 6: 0.04}
@@ -42,6 +68,7 @@ class Demo:
     out: Path = Path("runs/demo")
     """Folder of the page, the tables and the figures; made if it is missing."""
     workers: Annotated[int | None, arg(help=batches.WORKERS_HELP)] = None
+    overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
 
@@ -59,9 +86,12 @@ class Plan:
 
 def run(command: Demo) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
-    figures, out = figures_module(), command.out
-    with refusing(out, "a folder that can be made and written"):
-        make_writable(out)
+    out = command.out
+    if command.workers is not None:
+        whole("--workers", command.workers, 1, MAX_WORKERS)
+    require_folder(out)
+    with batch.waiting("planning"):
+        key = _claim(command)
     surena, elkahlout = robot.load("surena3"), robot.load("elkahlout")
     walks = {
         "surena3": plan_of(surena, planner.PolynomialGait.preset(surena, N_STEPS)),
@@ -70,35 +100,65 @@ def run(command: Demo) -> dict[str, Any]:
     summaries = {name: summary_of(walk) for name, walk in walks.items()}
     for summary in summaries.values():
         print(in_words(summary), flush=True)
-    loads = payload.run(payload.Payload(out=out / "payload", workers=command.workers, overwrite=True))
-    pads = obstacles.run(obstacles.Obstacles(out=out / "obstacles", workers=command.workers, overwrite=True))
-    print("walking surena3 over three obstacles, with and without landing adaptation", flush=True)
-    simulated = _walk_over_obstacles(surena, walks["surena3"].gait)
+    loads, pads = payload.run(_payload(command)), obstacles.run(_obstacles(command))
+    print("simulating surena3 over three obstacles, with and without landing adaptation", flush=True)
+    with batch.waiting("compiling and simulating two walks"):
+        simulated = _walk_over_obstacles(surena, walks["surena3"].gait)
     outcomes = {name: outcome(walk) for name, walk in simulated.items()}
     for name, one in outcomes.items():
         print(f"  {name}: {outcome_in_words(one)}", flush=True)
-    recovery = _recovery(out)
-    drawn = {
-        **_draw_surena3(figures, walks["surena3"]),
-        **_draw_elkahlout(figures, walks["elkahlout"]),
-        **_draw_obstacles(figures, walks["surena3"].gait, simulated),
-    }
-    files = [*batches.save(figures, drawn, out), *loads["files"], *pads["files"], *recovery["files"]]
-    page = _page(out, recovery["files"])
-    print(f"{len(files)} figures in {out}; all of it on one page: {page}")
-    return {
+    recovery = _recovery(command)
+    result = {
         "walks": summaries,
         "payload": loads["cells"],
         "obstacles": pads["cells"],
         "three_obstacles": outcomes,
         "recovery": {name: recovery[name] for name in ("success", "status", "peak_pitch_deg", "agrees")},
-        "page": str(page),
-        "files": files,
+    }
+    write(out / NUMBERS, json.dumps(plain({"key": key, **result}), indent=1))
+    drawn = draw(lambda figures: _draw(figures, walks, simulated), out)
+    files = [*drawn, *loads["files"], *pads["files"], *recovery["files"]]
+    page = None if figures_module() is None else _page(out, recovery["files"])
+    where = "" if page is None else f"; all of it on one page: {page}"
+    print(f"{NUMBERS}, two tables and {len(files)} figures in {out}{where}")
+    return {**result, "page": None if page is None else str(page), "files": files}
+
+
+def _payload(command: Demo) -> payload.Payload:
+    return payload.Payload(out=command.out / "payload", workers=command.workers, overwrite=command.overwrite)
+
+
+def _obstacles(command: Demo) -> obstacles.Obstacles:
+    return obstacles.Obstacles(
+        out=command.out / "obstacles", workers=command.workers, overwrite=command.overwrite
+    )
+
+
+def _claim(command: Demo) -> str:
+    """Refuse folders that hold something else, before anything is done; returns the key of this demonstration."""
+    key = hashlib.sha256(json.dumps(store.code(), sort_keys=True).encode()).hexdigest()
+    names = (NUMBERS, PAGE, *(f"{name}.png" for name in FIGURES))
+    require_free(command.out, names, key_in(command.out / NUMBERS) == key, command.overwrite)
+    loads, pads = _payload(command), _obstacles(command)
+    batches.claim(payload.set_up(loads)[0], loads, payload.FIGURES)
+    batches.claim(obstacles.set_up(pads), pads, obstacles.FIGURES)
+    make_writable(command.out)
+    if key_in(command.out / NUMBERS) != key:
+        write(command.out / NUMBERS, json.dumps({"key": key}))
+    return key
+
+
+def _draw(figures: ModuleType, walks: dict[str, Plan], simulated: dict[str, sim.Walk]) -> dict[str, Any]:
+    return {
+        **_draw_surena3(figures, walks["surena3"]),
+        **_draw_elkahlout(figures, walks["elkahlout"]),
+        **_draw_obstacles(figures, walks["surena3"].gait, simulated),
     }
 
 
-def _recovery(out: Path) -> dict[str, Any]:
+def _recovery(command: Demo) -> dict[str, Any]:
     """One row of the grid of loads again, with its figures."""
+    out = command.out
     experiment, table = batch.open_table(out / "payload")
     start = clock_start(next(iter(experiment.arms.values())).gait)
     wanted = (
@@ -107,7 +167,7 @@ def _recovery(out: Path) -> dict[str, Any]:
         & ((pl.col("load_time_s") - start - RECOVERY["time_s"]).abs() < 1e-6)
     )
     row = int(table.filter(wanted)["row"][0])
-    return replay.run(replay.Replay(out / "payload", row, out / "recovery"))
+    return replay.run(replay.Replay(out / "payload", row, out / "recovery", overwrite=command.overwrite))
 
 
 def _page(out: Path, recovery: list[str]) -> Path:
@@ -116,14 +176,17 @@ def _page(out: Path, recovery: list[str]) -> Path:
 
     sections = []
     for name in ("payload", "obstacles"):
-        sections += overview.sections(*batch.open_table(out / name), about=f"{name.capitalize()}: ")
+        sections += overview.sections(
+            *batch.open_table(out / name), about=f"{name.capitalize()}: ", folder=out / name
+        )
     heights = ", ".join(f"{100 * height:g}" for height in OBSTACLES.values())
     walked = sorted(str(file) for file in out.glob("surena3_obstacles_*.png"))
     sections += [
         _pictures(f"One walk of surena3 over {heights} cm", walked),
         _pictures("One walk of elkahlout: 15 kg at 1.2 s, modified reflex", recovery),
     ]
-    return page.write_page(out / "demo.html", "jaxbiped: walks under loads and over obstacles", sections)
+    with refusing(out, "a place that can be written, with room for the page"):
+        return page.write_page(out / PAGE, "jaxbiped: walks under loads and over obstacles", sections)
 
 
 def _pictures(heading: str, files: list[str]) -> Any:

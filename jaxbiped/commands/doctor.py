@@ -1,6 +1,5 @@
 """`jaxbiped doctor`: versions, device, and a short self-test; says what is wrong and how to mend it."""
 
-import os
 import platform
 import tempfile
 import time
@@ -14,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbiped import kinematics, planner, robot
+from jaxbiped import kinematics, planner, robot, runtime
 
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars", "tyro")
 EXTRAS = {"matplotlib": "viz", "distributed": "cluster"}
@@ -32,7 +31,8 @@ class Doctor:
 def run(command: Doctor) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
     versions = {name: metadata.version(name) for name in PACKAGES}
-    print(f"python {platform.python_version()} on {platform.system()} {platform.machine()}, {_cores()} cores")
+    cores = runtime.cores()
+    print(f"python {platform.python_version()} on {platform.system()} {platform.machine()}, {cores} cores")
     print(", ".join(f"{name} {version}" for name, version in versions.items()))
     found = [check() for check in CHECKS]
     for name, ok, words in found:
@@ -99,7 +99,7 @@ def _self_test() -> Finding:
     params = robot.load("elkahlout")
     gait = planner.CosineGait.preset(params, 2)
 
-    @jax.jit
+    @runtime.jit
     def error(times: Any) -> Any:
         def one(t: Any) -> Any:
             task = planner.at(gait, t).position
@@ -117,8 +117,36 @@ def _self_test() -> Finding:
     return "self-test", ok, words if ok else f"{words}; reinstall jax and jaxlib of the same version"
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _arithmetic() -> Finding:
+    """A sum of products that jaxlib 0.10.2, 0.11.0 and 0.11.1 compute wrongly on a CPU (jax-ml/jax issue 39103)."""
+
+    def squares(x: Any) -> Any:
+        return jax.vmap(lambda row: jnp.sum((jnp.eye(3, dtype=x.dtype) @ row) ** 2))(x)
+
+    with jax.default_device(jax.devices("cpu")[0]):
+        x = np.zeros((32_769, 3), np.float32)
+        x[:, 0] = np.arange(len(x))
+        wanted = x[:, 0] ** 2
+        theirs, ours = (np.asarray(compiled(squares)(x)) for compiled in (jax.jit, runtime.jit))
+    wrong = [float(np.max(np.abs(got - wanted) / np.maximum(wanted, 1.0))) for got in (theirs, ours)]
+    cure = "pip install 'jax!=0.10.2,!=0.11.0,!=0.11.1'"
+    if wrong[1] > 1e-5:
+        return "arithmetic", False, f"sums of products are wrong by {wrong[1]:.1%} on the CPU: {cure}"
+    if wrong[0] > 1e-5:
+        return (
+            "arithmetic",
+            False,
+            f"jax.jit computes sums of products wrong by {wrong[0]:.1%} on the CPU, this package's functions "
+            f"are compiled around it: {cure}",
+        )
+    return "arithmetic", True, "sums of products on the CPU are right"
 
 
-CHECKS: tuple[Callable[[], Finding], ...] = (_device, _extras, _cache, _memory_maps, _self_test)
+CHECKS: tuple[Callable[[], Finding], ...] = (
+    _device,
+    _extras,
+    _cache,
+    _memory_maps,
+    _arithmetic,
+    _self_test,
+)

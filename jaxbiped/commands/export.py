@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbiped import sim
-from jaxbiped.commands.common import InputError, load_robot, make_writable, refusing
+from jaxbiped.commands.common import InputError, load_robot, make_writable, require_folder, write
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,8 @@ class Export:
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
     out: Path
     """The file to write (.xml)."""
+    overwrite: bool = False
+    """Replace a file of that name; without it nothing is ever replaced."""
     json: bool = False
     """Print one JSON object as the last line."""
 
@@ -25,9 +27,12 @@ def run(command: Export) -> dict[str, Any]:
     params, out = load_robot("--robot", command.robot), command.out
     if out.suffix != ".xml" or out.is_dir():
         raise InputError(f"--out: got '{out}', allowed: a file name that ends in .xml")
-    with refusing(out, "a file that can be written"):
-        make_writable(out.parent)
-        sim.write_mjcf(params, out)
+    require_folder(out.parent)
+    text = sim.mjcf(params)
+    if out.exists() and out.read_bytes() != text.encode() and not command.overwrite:
+        raise InputError(f"--out: got '{out}', which is there already, allowed: another file, or --overwrite")
+    make_writable(out.parent)
+    write(out, text)
     mass = round(float(params.total_mass), 3)
     print(f"{params.name}, {mass:g} kg, written to {out}")
     return {"robot": params.name, "mass_kg": mass, "file": str(out)}

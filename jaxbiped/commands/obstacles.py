@@ -10,8 +10,9 @@ from tyro.conf import arg
 from jaxbiped import batch
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import LANDINGS, make_gait, own_gait, simulation_options
-from jaxbiped.commands.common import InputError, figures_module, load_robot, make_writable, refusing
+from jaxbiped.commands.common import InputError, draw, load_robot
 
+FIGURES = ("obstacles.png",)
 DEEPEST, HIGHEST = -0.2, 0.2
 """Of pads [m]."""
 HEIGHTS_HELP = "Heights of the pad in m, negative for a hole. Example: 0.02 -0.02"
@@ -47,16 +48,16 @@ class Obstacles:
 
 def run(command: Obstacles) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
-    figures, out = figures_module(), command.out
-    experiment = set_up(command)
+    out = command.out
+    batches.check(command)
+    with batch.waiting("planning"):
+        experiment = set_up(command)
     if command.dry_run:
-        return batches.dry_run(experiment, out, command.workers)
-    with refusing(out, "a folder that can be made and written"):
-        make_writable(out)
-    table = batches.walk(experiment, out, command.workers, command.scheduler, command.overwrite)
+        return batches.dry_run(experiment, command)
+    table = batches.walk(experiment, command, FIGURES)
     print("\n".join(_lines(table, command.step[0])))
-    print("\n".join(batches.rates(table)))
-    files = batches.save(figures, _draw(table, experiment.robot.name, command.step[0]), out)
+    print("\n".join([*batches.rates(table), *batches.again(table, out)]), flush=True)
+    files = draw(lambda _: _draw(table, experiment.robot.name, command.step[0]), out)
     print(f"table.parquet and {len(files)} figures in {out}")
     return {"cells": cells(table, command.step[0]), "table": str(out / "table.parquet"), "files": files}
 

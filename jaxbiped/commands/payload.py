@@ -11,8 +11,9 @@ from tyro.conf import arg
 from jaxbiped import batch, sim
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import REFLEXES, clock_start, make_gait, own_gait, simulation_options
-from jaxbiped.commands.common import InputError, figures_module, load_robot, make_writable, refusing
+from jaxbiped.commands.common import InputError, draw, load_robot
 
+FIGURES = ("payload_success.png", "payload_pitch.png")
 LATEST = 60.0
 """Of loading times [s]."""
 STEPS_AFTER = 4
@@ -53,17 +54,16 @@ class Payload:
 
 def run(command: Payload) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
-    figures, out = figures_module(), command.out
-    experiment, start = set_up(command)
+    out = command.out
+    batches.check(command)
+    with batch.waiting("planning"):
+        experiment, start = set_up(command)
     if command.dry_run:
-        return batches.dry_run(experiment, out, command.workers)
-    with refusing(out, "a folder that can be made and written"):
-        make_writable(out)
-    table = batches.walk(experiment, out, command.workers, command.scheduler, command.overwrite)
+        return batches.dry_run(experiment, command)
+    table = batches.walk(experiment, command, FIGURES)
     print("\n".join(_ticks(table, start)))
-    print("\n".join(batches.rates(table)))
-    drawn = _draw(table, experiment.robot.name, start)
-    files = batches.save(figures, drawn, out)
+    print("\n".join([*batches.rates(table), *batches.again(table, out)]), flush=True)
+    files = draw(lambda _: _draw(table, experiment.robot.name, start), out)
     print(f"table.parquet and {len(files)} figures in {out}")
     return {"cells": cells(table, start), "table": str(out / "table.parquet"), "files": files}
 

@@ -12,7 +12,15 @@ from tyro.conf import Positional, arg
 from jaxbiped import batch, planner, sim
 from jaxbiped.batch import part
 from jaxbiped.commands import walk
-from jaxbiped.commands.common import InputError, figures_module, make_writable, refusing
+from jaxbiped.commands.common import (
+    OVERWRITE_HELP,
+    InputError,
+    figures_or_word,
+    refusing,
+    require_folder,
+    say,
+    whole,
+)
 from jaxbiped.commands.walk_input import TRACE_DT, Arms, Load, Obstacle, Setup
 
 TOLERANCE = {"_s": 0.05, "_deg": 0.5, "_N": 60.0, "_Ns": 3.0, "_m": 5e-3}
@@ -28,39 +36,44 @@ class Replay:
     """Folder that a batch was run in, or the table.parquet in it."""
     row: Annotated[Positional[int], arg(metavar="ROW")]
     """Number of the row."""
-    out: Path = Path("runs/replay")
-    """Folder of the figures."""
+    out: Path | None = None
+    """Folder of walk.json and the figures. Default: replay-ROW in the table's folder."""
     video: bool = False
     """Draw a moving picture too (walk.gif)."""
+    overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
 
 
 def run(command: Replay) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
-    figures, out = figures_module(), command.out
+    number = whole("row", command.row, 0, 10**9)
+    folder = command.table.parent if command.table.is_file() else command.table
+    out = command.out or folder / f"replay-{number}"
+    require_folder(out)
     try:
-        experiment, table = batch.open_table(command.table)
+        experiment, table = batch.open_table(command.table, say)
     except batch.StoreError as error:
         raise InputError(str(error)) from None
-    found = table.filter(table["row"] == command.row)
+    found = table.filter(table["row"] == number)
     if found.height != 1:
         raise InputError(f"row: got {command.row}, allowed: 0 to {experiment.rows - 1}, finished ones")
-    with refusing(out, "a folder that can be made and written"):
-        make_writable(out)
     row = found.row(0, named=True)
     setup = set_up(experiment, row)
+    walk.claim(setup, out, command.overwrite)
     one = walk.simulate(setup)
-    result = walk.tell(figures, setup, one, out)
+    result = walk.tell(setup, one, out)
     different = differences(row, outcome(one, setup))
     for name, (then, now) in different.items():
         print(f"differs from the table: {name} was {then}, is {now}")
     print(f"row {command.row}: {'does not agree' if different else 'agrees'} with the table")
-    if command.video and one.trace is not None:
+    if command.video and one.trace is not None and figures_or_word() is not None:
         from jaxbiped.report import movie
 
-        result["files"].append(str(movie.save(experiment.robot, one.trace, out / "walk.gif")))
-    print(f"{len(result['files'])} figures in {out}")
+        with refusing(out, "a place that can be written, with room for the movie; the numbers are kept"):
+            file = movie.save(experiment.robot, one.trace, out / walk.MOVIE, setup.scenario.terrain)
+        result["files"].append(str(file))
+    print(f"{walk.NUMBERS} and {len(result['files'])} figures in {out}")
     return {"row": command.row, "agrees": not different, "differences": different, **result}
 
 

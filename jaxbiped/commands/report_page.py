@@ -1,5 +1,7 @@
 """`jaxbiped report`: one self-contained page of a results table."""
 
+import hashlib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +11,15 @@ from tyro.conf import Positional, arg
 from jaxbiped import batch
 from jaxbiped.batch import summary
 from jaxbiped.commands import batches
-from jaxbiped.commands.common import InputError, figures_module, refusing
+from jaxbiped.commands.common import (
+    OVERWRITE_HELP,
+    InputError,
+    figures_module,
+    make_writable,
+    refusing,
+    require_folder,
+    say,
+)
 
 
 @dataclass(frozen=True)
@@ -20,27 +30,37 @@ class Report:
     """Folder that a batch was run in, or the table.parquet in it; may be unfinished."""
     out: Path | None = None
     """The page (.html). Default: report.html in the folder."""
+    overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
 
 
 def run(command: Report) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
-    figures_module()
-    from jaxbiped.report import overview, page
-
     try:
-        experiment, table = batch.open_table(command.table)
+        experiment, table = batch.open_table(command.table, say)
     except batch.StoreError as error:
         raise InputError(str(error)) from None
     folder = command.table.parent if command.table.is_file() else command.table
     out = command.out or folder / "report.html"
     if out.suffix != ".html":
         raise InputError(f"--out: got '{out}', allowed: a file name that ends in .html")
-    sections = overview.sections(experiment, table)
+    require_folder(out.parent)
+    key = table_key(experiment)
+    if out.exists() and not command.overwrite and not is_of(out, key):
+        raise InputError(
+            f"--out: got '{out}', which is there already and no page of this table, allowed: another file, or "
+            "--overwrite"
+        )
+    print("\n".join([*batches.rates(table), *batches.again(table, folder)]), flush=True)
+    if figures_module() is None:
+        raise ImportError("a page needs matplotlib: pip install 'jaxbiped[viz]'")
+    from jaxbiped.report import overview, page
+
+    make_writable(out.parent)
+    sections = overview.sections(experiment, table, folder=folder)
     with refusing(out, "a file that can be written"):
-        page.write_page(out, f"{experiment.robot.name}: {table.height} walks", sections)
-    print("\n".join(batches.rates(table)))
+        page.write_page(out, f"{experiment.robot.name}: {table.height} walks", sections, key)
     agreed = overview.agreements(experiment, table)
     print(
         "\n".join(overview.agreement_in_words(arm, one) for arm, one in agreed.items()),
@@ -52,3 +72,17 @@ def run(command: Report) -> dict[str, Any]:
         "arms": summary.cells(table).to_dicts(),
         "agreement": {arm: [one.agree, one.compared] for arm, one in agreed.items()},
     }
+
+
+def is_of(file: Path, key: str) -> bool:
+    """Whether a file says that it is a page of the experiment with this key."""
+    try:
+        with file.open("rb") as page:
+            return key.encode() in page.read(4096)
+    except OSError:
+        return False
+
+
+def table_key(experiment: batch.Experiment) -> str:
+    """Hash of the experiment a page is of."""
+    return hashlib.sha256(json.dumps(experiment.resolved, sort_keys=True).encode()).hexdigest()

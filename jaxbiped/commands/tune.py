@@ -1,6 +1,7 @@
 """`jaxbiped tune`: tune an arm's few numbers by gradients, or only say how far the gradients can be trusted."""
 
-import math
+import dataclasses
+import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,10 @@ import jax
 import numpy as np
 from tyro.conf import arg
 
-from jaxbiped import adapt, batch, tune
+from jaxbiped import adapt, batch, planner, sim, tune
+from jaxbiped.adapt import tunables
 from jaxbiped.batch import Choice, Uniform
+from jaxbiped.checked import nearest
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
     LANDINGS,
@@ -28,7 +31,19 @@ from jaxbiped.commands.choices import (
     reflex_of,
     simulation_options,
 )
-from jaxbiped.commands.common import InputError, figures_module, load_robot, make_writable, refusing
+from jaxbiped.commands.common import (
+    OVERWRITE_HELP,
+    InputError,
+    draw,
+    load_robot,
+    make_writable,
+    plain,
+    require_folder,
+    require_free,
+    whole,
+    write,
+)
+from jaxbiped.tune.descent import STATE
 
 WHAT_HELP = "What to tune: a stage (payload, landing), or names such as payload.settling_time, landing.T_mod, gait.b_s."
 BASES = {"payload": REFLEXES[1:], "landing": LANDINGS[1:]}
@@ -40,6 +55,12 @@ STEPS = {"payload": 4, "landing": 6}
 HORIZON = 10.0
 """Of the walks whose gradient is taken [s]."""
 ARM_FILE = "tuned.toml"
+PARAMETERS = {"polynomial": planner.PolynomialParams, "cosine": planner.CosineParams}
+"""Records of a gait's parameters; all but the start and stop of the polynomial one can be tuned."""
+FILES = (ARM_FILE, "loss.png", "values.png")
+MAX_COUNT = 100_000
+HELD_OUT_SEED = 1000
+"""How far the seed of the held-out scenarios is from that of the others."""
 Tables = Mapping[str, Mapping[str, Any]]
 """Of the file of an arm."""
 PAD_STEP = 2
@@ -74,34 +95,87 @@ class Tune:
     """Of the scenarios and of the descent."""
     out: Path = Path("runs/tune")
     """Folder of the arm, the figures and the state; a descent that was stopped goes on."""
+    overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
 
 
 def run(command: Tune) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
-    figures_module()
-    for name, least in (("scenarios", 2), ("batch", 2), ("steps", 1)):
-        if getattr(command, name) < least:
-            raise InputError(f"--{name}: got {getattr(command, name)}, allowed: >= {least}")
-    with refusing(command.out, "a folder that can be made and written"):
-        make_writable(command.out)
+    check(command)
     with jax.enable_x64(command.x64 or command.trust_only):
-        problem, held_out, start = set_up(command)
+        with batch.waiting("planning"):
+            problem, held_out, start = set_up(command)
         return _trust(command, problem) if command.trust_only else _descend(command, problem, held_out, start)
+
+
+def check(command: Tune) -> None:
+    """Refuse what can be refused without any work: numbers, names, the folder.
+
+    Raises:
+        InputError: naming the argument, what was got and what is allowed.
+        ImportError: if the package that descends is missing.
+    """
+    for name, least in (("scenarios", 2), ("batch", 2), ("steps", 1)):
+        whole(f"--{name}", getattr(command, name), least, MAX_COUNT)
+    whole("--seed", command.seed, 0, 2**31 - 1 - HELD_OUT_SEED)
+    if command.duration is not None:
+        batches.numbers("--duration", [command.duration], "s", 0.1, 3600.0)
+    params = load_robot("--robot", command.robot)
+    require_names(command.what, command.gait or own_gait(params))
+    if command.arm is not None and not command.arm.endswith(".toml"):
+        for stage in _stages(command):
+            _require_base(command.arm, stage)
+    if not command.trust_only:
+        require_folder(command.out)
+        require_free(command.out, FILES, (command.out / STATE).exists(), command.overwrite)
+        if importlib.util.find_spec("optax") is None:
+            raise ImportError("tuning needs optax: pip install 'jaxbiped[tune]'")
+
+
+def require_names(names: tuple[str, ...], gait: str) -> None:
+    """Refuse names that no robot, gait or stage has.
+
+    Raises:
+        InputError: with the nearest name.
+    """
+    known = [*BASES, *tunables.TUNABLES]
+    if gait in PARAMETERS:
+        known += [
+            f"gait.{field.name}"
+            for field in dataclasses.fields(PARAMETERS[gait])
+            if field.name != "start_stop"
+        ]
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"--what: got {' '.join(names) or 'none'}, allowed: one or more names, each once")
+    for name in names:
+        if name not in known:
+            raise InputError(f"--what: got '{name}', allowed: {', '.join(known)}{nearest(name, known)}")
+
+
+def _stages(command: Tune) -> set[str]:
+    return {name.split(".")[0] for name in command.what} & set(BASES) or {"payload"}
+
+
+def _require_base(name: str, stage: str) -> None:
+    if name not in BASES[stage]:
+        raise InputError(
+            f"--arm: got '{name}', allowed: {', '.join(BASES[stage])} for {stage}, or a file that ends in .toml"
+            f"{nearest(name, BASES[stage])}"
+        )
 
 
 def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
     """The problem, the scenarios held out, and the tables of the arm it starts from."""
     params = load_robot("--robot", command.robot)
-    stages = {name.split(".")[0] for name in command.what} & set(BASES) or {"payload"}
+    stages = _stages(command)
     gait = make_gait(params, command.gait or own_gait(params), max(STEPS[s] for s in stages))
     start, arm = _start(command, params, gait, stages)
     made = [
         batches.experiment(
             params,
             {command.arm or "tuned": arm},
-            _scenarios(command, params, arm.gait, stages, command.seed + 1000 * held),
+            _scenarios(command, params, arm.gait, stages, command.seed + HELD_OUT_SEED * held),
             simulation_options(params, arm.gait),
             duration=horizon if command.duration is None else command.duration,
             seed=command.seed,
@@ -122,10 +196,7 @@ def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tab
     defaults = {"payload": MODIFIED, "landing": REPAIRED}
     base = {stage: command.arm or defaults[stage] for stage in stages}
     for stage, name in base.items():
-        if name not in BASES[stage]:
-            raise InputError(
-                f"--arm: got '{name}', allowed: {', '.join(BASES[stage])} for {stage}, or a file that ends in .toml"
-            )
+        _require_base(name, stage)
     arm = adapt.Controller(
         gait,
         landing=landing_of(base.get("landing", OFF)),
@@ -143,16 +214,18 @@ def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: in
         ranges["load_kg"] = Uniform(LIGHTEST * mass, HEAVIEST * mass)
         ranges["load_time_s"] = Uniform(start + 0.1, last)
     if "landing" in stages:
-        heights = np.round(np.linspace(-HIGHEST, HIGHEST, 17), 4)
+        highest = min(HIGHEST, 0.8 * sim.swing_height(gait))
+        heights = np.round(np.linspace(-highest, highest, 17), 4)
         ranges[batch.height_column(PAD_STEP)] = Choice(tuple(float(h) for h in heights if abs(h) > 1e-3))
     return batch.draw(command.scenarios, seed, friction=Uniform(0.6, 1.0), **ranges)
 
 
 def _trust(command: Tune, problem: tune.Problem) -> dict[str, Any]:
     rows = np.arange(problem.experiment.table.height)
-    report = tune.trust_report(problem, problem.start, rows, seed=command.seed, timed=True)
+    with batch.waiting("compiling, and measuring gradients in four ways"):
+        report = tune.trust_report(problem, problem.start, rows, seed=command.seed, timed=True)
     print("\n".join(report.lines()))
-    return {k: _plain(v) for k, v in report.record().items()}
+    return plain(report.record())
 
 
 def _descend(
@@ -161,8 +234,9 @@ def _descend(
     settings = tune.Settings(steps=command.steps, scenarios=command.batch, seed=command.seed)
     made_by = f"jaxbiped tune --robot {command.robot} --what {' '.join(command.what)}"
     made_by += f" --arm {command.arm}" if command.arm else ""
+    make_writable(command.out)
     try:
-        tuned, files = descend(problem, held_out, settings, start, command.out, made_by)
+        tuned, files = descend(problem, held_out, settings, start, command.out, made_by, command.overwrite)
     except ValueError as error:
         raise InputError(f"--{error}") from None
     path = command.out / ARM_FILE
@@ -178,6 +252,7 @@ def descend(
     start: Tables,
     out: Path,
     made_by: str,
+    overwrite: bool = False,
 ) -> tuple[tune.Tuned, list[str]]:
     """Tune, or go on where it was stopped; the arm and its figures stand in `out`.
 
@@ -188,10 +263,12 @@ def descend(
         start: tables of the arm it starts from, see `tune.arm_file`.
         out: folder.
         made_by: command, for the arm's file.
+        overwrite: drop the state of another descent in the folder.
     """
-    tuned = tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True))
-    (out / ARM_FILE).write_text(tune.arm_file(tuned, start, made_by), encoding="utf-8")
-    files = batches.save(figures_module(), _draw(tuned, problem.experiment.robot.name), out)
+    with batch.waiting("compiling, or a step under way", redraw=False):
+        tuned = tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True), overwrite)
+    write(out / ARM_FILE, tune.arm_file(tuned, start, made_by))
+    files = draw(lambda _: _draw(tuned, problem.experiment.robot.name), out)
     print(
         f"held out: loss {tuned.before['loss']:.4f} -> {tuned.after['loss']:.4f}, success "
         f"{100 * tuned.before['success']:.1f} -> {100 * tuned.after['success']:.1f} %; {tuned.descent.finished}"
@@ -210,10 +287,3 @@ def _draw(tuned: tune.Tuned, name: str) -> dict[str, Any]:
         "loss": descents.loss_curve(history, f"{name}: tuning {', '.join(names[:3])} ..."),
         "values": descents.value_curves(history, names, ranges, f"{name}: values while tuning"),
     }
-
-
-def _plain(value: Any) -> Any:
-    """For JSON, which has no NaN."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return [_plain(v) for v in value] if isinstance(value, list) else value

@@ -1,5 +1,7 @@
 """`jaxbiped walk`: one walk of one robot, told in a few lines and drawn as the two papers draw it."""
 
+import hashlib
+import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
@@ -9,12 +11,40 @@ import jax
 import numpy as np
 from tyro.conf import UseAppendAction, arg
 
-from jaxbiped import planner, score, sim
+from jaxbiped import batch, planner, score, sim
 from jaxbiped.adapt.landing import nominal_T_mod
+from jaxbiped.batch import records, store
 from jaxbiped.commands import walk_words
-from jaxbiped.commands.common import InputError, figures_module, make_writable, outcome, refusing, targets_at
+from jaxbiped.commands.common import (
+    OVERWRITE_HELP,
+    InputError,
+    draw,
+    key_in,
+    make_writable,
+    outcome,
+    plain,
+    require_folder,
+    require_free,
+    targets_at,
+    write,
+)
 from jaxbiped.commands.walk_input import ARMS, Setup, set_up
+from jaxbiped.report import traces
 
+NUMBERS, MOVIE = "walk.json", "walk.gif"
+FIGURES = (
+    "khadiv_fig6_feet",
+    "khadiv_fig7_pelvis",
+    "khadiv_fig8_9_zmp",
+    "khadiv_fig12_13_forces_and_tilt",
+    "khadiv_fig11_modifications",
+    "elkahlout_fig4_3_references",
+    "elkahlout_fig4_4_pitch",
+    "elkahlout_fig3_3_force_and_trigger",
+    "elkahlout_fig3_5_3_7_3_8_close_ups",
+    "elkahlout_fig4_12_settling_zmp",
+)
+"""Names of all figures that a walk may have."""
 DRAWN_EVERY = 5
 """Samples of the trace between two that are drawn, but for close-ups and filters."""
 
@@ -51,7 +81,8 @@ class Walk:
     payload: Annotated[Words, UseAppendAction, arg(metavar="MASS@TIME", help=PAYLOAD_HELP)] = ()
     arm: Annotated[Words, UseAppendAction, arg(metavar="|".join(ARMS) + " ...", help=ARM_HELP)] = ()
     out: Path = Path("runs/walk")
-    """Folder of the figures; made if it is missing."""
+    """Folder of walk.json and the figures; made if it is missing."""
+    overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
 
@@ -71,15 +102,29 @@ class Told:
 
 def run(command: Walk) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
-    figures, out = figures_module(), command.out
-    obstacles = _flat("--obstacle", command.obstacle)
+    out, obstacles = command.out, _flat("--obstacle", command.obstacle)
     payload, arms = _flat("--payload", command.payload), _flat("--arm", command.arm)
-    setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, arms)
-    with refusing(out, "a folder that can be made and written"):
-        make_writable(out)
-    result = tell(figures, setup, simulate(setup), out)
-    print(f"{len(result['files'])} figures in {out}")
+    require_folder(out)
+    with batch.waiting("planning"):
+        setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, arms)
+    claim(setup, out, command.overwrite)
+    result = tell(setup, simulate(setup), out)
+    print(f"{NUMBERS} and {len(result['files'])} figures in {out}")
     return result
+
+
+def claim(setup: Setup, out: Path, overwrite: bool) -> None:
+    """Make the folder; refuse it if files of another walk would be replaced."""
+    names = (NUMBERS, *(f"{name}.png" for name in FIGURES), MOVIE)
+    require_free(out, names, key_in(out / NUMBERS) == key_of(setup), overwrite)
+    make_writable(out)
+
+
+def key_of(setup: Setup) -> str:
+    """Hash of all that decides a walk."""
+    parts = (setup.robot, setup.controller, setup.scenario, setup.options)
+    said = [*map(records.to_json, parts), setup.duration, store.code()]
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
 def _flat(argument: str, given: Words) -> list[str]:
@@ -88,22 +133,23 @@ def _flat(argument: str, given: Words) -> list[str]:
     return [word for words in given for word in words]
 
 
-def tell(figures: ModuleType, setup: Setup, walk: sim.Walk, out: Path) -> dict[str, Any]:
-    """Print what happened in a walk and draw it into a folder; returns the numbers and the files."""
-    told = _tell(figures, setup, walk)
+def tell(setup: Setup, walk: sim.Walk, out: Path) -> dict[str, Any]:
+    """Print what happened in a walk, write its numbers and draw it into a folder; returns the numbers and the files."""
+    told = _tell(setup, walk)
     result = _result(told)
-    print("\n".join(walk_words.lines(result)))
-    files = [str(figures.save(figure, out / f"{name}.png")) for name, figure in _draw(figures, told).items()]
-    return {**result, "files": files}
+    print("\n".join(walk_words.lines(result)), flush=True)
+    write(out / NUMBERS, json.dumps(plain({"key": key_of(setup), **result}), indent=1))
+    return {**result, "files": draw(lambda figures: _draw(figures, told), out)}
 
 
 def simulate(setup: Setup) -> sim.Walk:
     """The walk of a setup, with its trace, on the host."""
-    walk = sim.rollout(setup.robot, setup.controller, setup.scenario, setup.duration, setup.options)
-    return jax.tree.map(np.asarray, walk)
+    with batch.waiting(f"compiling and simulating {setup.duration:.0f} s of walking"):
+        walk = sim.rollout(setup.robot, setup.controller, setup.scenario, setup.duration, setup.options)
+        return jax.tree.map(np.asarray, walk)
 
 
-def _tell(figures: ModuleType, setup: Setup, walk: Any) -> Told:
+def _tell(setup: Setup, walk: Any) -> Told:
     trace, stage = walk.trace, setup.controller.payload
     state = None if stage is None else walk.controller.payload
     shifts = (0.0, 0.0) if state is None else (float(state.world_shift), float(state.x_shift))
@@ -112,7 +158,7 @@ def _tell(figures: ModuleType, setup: Setup, walk: Any) -> Told:
         setup=setup,
         walk=walk,
         verdict=score.judge(walk, setup.gait, setup.scenario),
-        nominal=figures.nominal(plan, trace, *shifts),
+        nominal=traces.nominal(plan, trace, *shifts),
         touches=score.touches(trace),
         recoveries=[] if stage is None else score.recoveries(trace, stage.params),
     )

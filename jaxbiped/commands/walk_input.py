@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbiped import adapt, robot, score, sim
+from jaxbiped import adapt, checked, robot, score, sim
 from jaxbiped.commands.choices import (
     MODIFIED,
     OFF,
@@ -23,10 +23,11 @@ from jaxbiped.commands.choices import (
     simulation_options,
 )
 from jaxbiped.commands.common import InputError, load_robot
+from jaxbiped.sim.scenario import RANGES, require_swing_clears
 
 ARMS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
 REFLEX_ARMS = (ORIGINAL, MODIFIED)
-DEEPEST = -0.2
+DEEPEST = RANGES["height_m"].low
 """Of a hole [m]."""
 TRACE_DT = 2e-3
 """Between two samples of the trace [s]."""
@@ -124,9 +125,10 @@ def set_up(
 def _number(argument: str, got: str, form: str, text: str, kind: type) -> Any:
     try:
         value = kind(text)
-    except ValueError:
+        finite = math.isfinite(value)
+    except (ValueError, OverflowError):
         raise InputError(f"{argument}: got '{got}', allowed: {form}") from None
-    if not math.isfinite(value):
+    if not finite:
         raise InputError(f"{argument}: got '{got}', allowed: {form} with finite numbers")
     return value
 
@@ -134,8 +136,7 @@ def _number(argument: str, got: str, form: str, text: str, kind: type) -> Any:
 def _obstacles(words: Iterable[str], gait: Any) -> list[Obstacle]:
     """STEP:HEIGHT, each step once, at most as high as the swing foot goes."""
     form = "STEP:HEIGHT, a whole number and meters, such as 3:0.03 or 4:-0.02"
-    last, timing = gait.timing.n_steps - 1, gait.timing
-    lift = float(gait.task(timing.liftoff(0) + 0.5 * timing.T_s).sole[:, 2].max())
+    last = gait.timing.n_steps - 1
     found: dict[int, Obstacle] = {}
     for word in words:
         parts = word.split(":")
@@ -150,11 +151,13 @@ def _obstacles(words: Iterable[str], gait: Any) -> list[Obstacle]:
             )
         if step in found:
             raise InputError(f"--obstacle: got step {step} twice, allowed: one obstacle under each step")
-        if not DEEPEST <= height < lift - 1e-6:
-            raise InputError(
-                f"--obstacle: got height {height:g} m in '{word}', allowed: {DEEPEST:g} m to below {lift:.3g} m, "
-                "the height the swing foot goes to"
-            )
+        if height < DEEPEST:
+            raise InputError(f"--obstacle: got height {height:g} m in '{word}', allowed: >= {DEEPEST:g} m")
+        try:
+            require_swing_clears(gait, {step: height})
+        except ValueError as error:
+            allowed = str(error).partition("allowed: ")[2]
+            raise InputError(f"--obstacle: got height {height:g} m in '{word}', allowed: {allowed}") from None
         found[step] = Obstacle(step, height)
     return list(found.values())
 
@@ -171,7 +174,7 @@ def _load(words: Iterable[str], gait: Any, params: robot.RobotParams) -> Load | 
     if len(parts) != 2:
         raise InputError(f"--payload: got '{word}', allowed: {form}")
     mass, time = (_number("--payload", word, form, text, float) for text in parts)
-    most, end = float(params.total_mass), float(gait.duration)
+    most, end = min(float(params.total_mass), RANGES["load_kg"].high), float(gait.duration)
     if not 0.0 < mass <= most:
         raise InputError(
             f"--payload: got mass {mass:g} kg in '{word}', allowed: > 0 and <= {most:.4g} kg, the robot's"
@@ -196,7 +199,10 @@ def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
     """Without words: what the walk calls for. `repaired` stands for whichever stage no other word is for."""
     for word in words:
         if word not in ARMS:
-            raise InputError(f"--arm: got '{word}', allowed: {', '.join(ARMS)}, or a file that ends in .toml")
+            raise InputError(
+                f"--arm: got '{word}', allowed: {', '.join(ARMS)}, or a file that ends in .toml"
+                f"{checked.nearest(word, ARMS)}"
+            )
     if not words:
         return Arms(REPAIRED if has_obstacles else OFF, MODIFIED if has_load else OFF)
     reflexes = [word for word in words if word in REFLEX_ARMS]

@@ -1,25 +1,35 @@
 """Refusing gait parameters that cannot be walked, when their values are known (not while being traced)."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
+from jaxbiped import checked
+from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.targets import Gait
 from jaxbiped.robot import LEFT, RIGHT, SIDE_NAMES, RobotParams
 
+MOST_STEPS = 10_000
+"""Longest walk that is planned [steps]."""
 
-class GaitError(ValueError):
+
+class GaitError(checked.Refusal):
     """Gait parameters that cannot be walked: says which, what was got and what is allowed."""
 
 
 def is_concrete(*trees: Any) -> bool:
     """Whether every leaf has a known value: false under jit, vmap or differentiation."""
-    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+    return checked.is_known(trees)
+
+
+def require_within(record: Any, quantities: Mapping[str, Quantity], where: str = "") -> None:
+    """Raise a GaitError unless every parameter of a record is a number within its declared bounds."""
+    for name, quantity in quantities.items():
+        quantity.check(f"{where}{name}", getattr(record, name), GaitError)
 
 
 def require(name: str, value: Any, allowed: str, *conditions: Any, unit: str = "s") -> None:
@@ -41,12 +51,14 @@ def require_reach(robot: RobotParams, gait: Gait, samples_per_step: int = 50) ->
         )
 
 
-def require_steps(n_steps: int, first_swing: int) -> None:
-    """Raise a GaitError unless a walk can have so many steps and begin with this foot."""
-    if not (isinstance(n_steps, int) and n_steps >= 1):
-        raise GaitError(f"n_steps: got {n_steps!r}, allowed: a whole number >= 1")
-    if first_swing not in (LEFT, RIGHT):
-        raise GaitError(f"first_swing: got {first_swing!r}, allowed: {LEFT} (left) or {RIGHT} (right)")
+def require_steps(n_steps: Any, first_swing: Any) -> tuple[int, int]:
+    """Return the number of steps and the first foot as int, or raise a GaitError; NumPy's whole numbers will do."""
+    n_steps = checked.whole("n_steps", n_steps, 1, MOST_STEPS, GaitError)
+    try:
+        return n_steps, checked.whole("first_swing", first_swing, LEFT, RIGHT, GaitError)
+    except GaitError:
+        got = checked.shown(first_swing)
+        raise GaitError(f"first_swing: got {got}, allowed: {LEFT} (left) or {RIGHT} (right)") from None
 
 
 def _failures(status: np.ndarray) -> Iterable[tuple[int, int]]:

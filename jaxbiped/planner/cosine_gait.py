@@ -8,16 +8,37 @@ where the body is: it advances 2 b_s in every single support and sways by w sin(
     .. duration    a quintic brings the sway to rest in T_end
 """
 
+from typing import ClassVar, SupportsIndex
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps
+from jaxbiped import runtime
+from jaxbiped.checked import Quantity
+from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps, require_within
 from jaxbiped.planner.polynomial import Polynomial, as_scalar, quintic
 from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
+
+_DURATION = Quantity("s", 0.0, 60.0, above=True)
+_REST = Quantity("s", 0.0, 600.0, above=True)
+QUANTITIES = {
+    "t_ss": _DURATION,
+    "t_ds": _DURATION,
+    "b_s": Quantity("m", 0.0, 1.0),
+    "w": Quantity("m", -1.0, 1.0),
+    "w_of": Quantity("m", 0.0, 1.0, above=True),
+    "h_b": Quantity("m", 0.0, 2.0, above=True),
+    "h_s": Quantity("m", 0.0, 1.0, above=True),
+    "x_ref": Quantity("m", -1.0, 1.0),
+    "y_ref": Quantity("m", -1.0, 1.0),
+    "T_ini": _REST,
+    "T_end": _REST,
+}
+"""What the parameters may be."""
 
 
 class CosineParams(eqx.Module):
@@ -55,6 +76,8 @@ class CosineParams(eqx.Module):
 class CosineGait(eqx.Module):
     """A planned cosine walk of `n_steps` steps; build it with `make`."""
 
+    quantities: ClassVar[dict[str, Quantity]] = QUANTITIES
+    """What the parameters may be."""
     params: CosineParams
     """What it was made from."""
     n_steps: int = eqx.field(static=True)
@@ -67,22 +90,32 @@ class CosineGait(eqx.Module):
     """Lateral pelvis position to rest [m]."""
 
     @classmethod
-    def preset(cls, robot: RobotParams, n_steps: int = 8, first_swing: int = LEFT) -> "CosineGait":
-        """Plan a walk with the preset parameters of a known robot."""
+    def preset(
+        cls, robot: RobotParams, n_steps: SupportsIndex = 8, first_swing: SupportsIndex = LEFT
+    ) -> "CosineGait":
+        """Plan a walk with the preset parameters of a known robot, or of one that walks like it.
+
+        Raises:
+            GaitError: if neither its name nor its `walks_like` is that of a preset.
+        """
         from jaxbiped.planner.presets import cosine_params
 
-        return cls.make(robot, cosine_params(robot.name), n_steps, first_swing)
+        return cls.make(robot, cosine_params(robot), n_steps, first_swing)
 
     @classmethod
     def make(
-        cls, robot: RobotParams, params: CosineParams, n_steps: int, first_swing: int = LEFT
+        cls,
+        robot: RobotParams,
+        params: CosineParams,
+        n_steps: SupportsIndex,
+        first_swing: SupportsIndex = LEFT,
     ) -> "CosineGait":
         """Plan a walk.
 
         Raises:
             GaitError: if the parameters cannot be walked by this robot (only where their values are known).
         """
-        require_steps(n_steps, first_swing)
+        n_steps, first_swing = require_steps(n_steps, first_swing)
         known = is_concrete(params, robot)
         if known:
             _require_sane(robot, params)
@@ -149,18 +182,12 @@ def _towards_stance(first_swing: int) -> float:
 
 
 def _require_sane(robot: RobotParams, p: CosineParams) -> None:
-    for name in ("t_ss", "t_ds", "T_ini", "T_end"):
-        require(name, getattr(p, name), "> 0 s", getattr(p, name) > 0.0)
-    require("b_s", p.b_s, ">= 0 m", p.b_s >= 0.0, unit="m")
-    require("h_s", p.h_s, "> 0 m (the swing foot must not go below the ground)", p.h_s > 0.0, unit="m")
-    require("h_b", p.h_b, "> 0 m", p.h_b > 0.0, unit="m")
+    require_within(p, QUANTITIES)
     inner = 0.5 * float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
     require("w_of", p.w_of, f"> {inner:g} m (the soles must not overlap)", p.w_of > inner, unit="m")
-    for name in ("w", "x_ref", "y_ref"):
-        require(name, getattr(p, name), "a finite number", unit="m")
 
 
-@eqx.filter_jit
+@runtime.jit
 def _plan(p: CosineParams, n_steps: int, first_swing: int) -> CosineGait:
     speed = _towards_stance(first_swing) * p.w * jnp.pi / p.T_c
     last_speed = speed if n_steps % 2 == 0 else -speed

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxbiped import runtime
 from jaxbiped.kinematics import Motion, MotionState, Wrench, body, dynamics, joint_angles
 from jaxbiped.planner import support
 from jaxbiped.planner.targets import DOUBLE_SUPPORT, Gait, Phase, TaskSpace
@@ -117,7 +118,7 @@ def instant(robot: RobotParams, gait: Gait, t: Float[Array, ""]) -> Feasibility:
     )
 
 
-@eqx.filter_jit
+@runtime.jit
 def feasibility(robot: RobotParams, gait: Any, times: Float[Array, " n"]) -> Feasibility:
     """What a gait takes at many times [s], as a leading axis. Differentiable in robot and gait."""
     return jax.vmap(lambda t: instant(robot, gait, t))(times)

@@ -12,14 +12,20 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+from jaxbiped import checked
 
 Scalar = Float[Array, ""] | float
 
 
 def as_scalar(value: Scalar) -> Float[Array, ""]:
     """A number as an array of JAX's default float type; the converter of parameter fields."""
-    return jnp.asarray(value, jnp.result_type(float))
+    if isinstance(value, bool | np.bool_ | str):
+        raise checked.Refusal(f"parameter: got {checked.shown(value)}, allowed: one number")
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused where its name is known
+        return jnp.asarray(value, jnp.result_type(float))
 
 
 def as_scalar_or_none(value: Any) -> Any:

@@ -10,13 +10,16 @@ foot. Time runs
 """
 
 import operator
+from typing import ClassVar, SupportsIndex
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps
+from jaxbiped import runtime
+from jaxbiped.checked import Quantity
+from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps, require_within
 from jaxbiped.planner.polynomial import (
     PiecewisePolynomial,
     Polynomial,
@@ -33,6 +36,24 @@ from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
+
+_DURATION = Quantity("s", 0.0, 60.0, above=True)
+_OFFSET = Quantity("m", -1.0, 1.0)
+_REST = Quantity("s", 0.0, 600.0, above=True)
+_HEIGHT = Quantity("m", 0.0, 2.0, above=True)
+QUANTITIES = {
+    "D_s": Quantity("m", 0.0, 2.0),
+    "T_s": _DURATION,
+    "T_d": _DURATION,
+    "H_max": Quantity("m", 0.0, 1.0, above=True),
+    **dict.fromkeys(("x_s", "x_e", "y_d", "y_m"), _OFFSET),
+    "z_max": _HEIGHT,
+    "z_min": _HEIGHT,
+    "L_p": Quantity("m", 0.0, 2.0, above=True),
+    "T_ini": _REST,
+    "T_end": _REST,
+}
+"""What the parameters may be."""
 
 
 class StartStop(eqx.Module):
@@ -169,6 +190,8 @@ def steady_pelvis_z(p: PolynomialParams) -> tuple[Polynomial, Polynomial]:
 class PolynomialGait(eqx.Module):
     """A planned polynomial walk of `n_steps` steps; build it with `make`."""
 
+    quantities: ClassVar[dict[str, Quantity]] = QUANTITIES
+    """What the parameters may be."""
     params: PolynomialParams
     """What it was made from."""
     n_steps: int = eqx.field(static=True)
@@ -187,22 +210,32 @@ class PolynomialGait(eqx.Module):
     """Pelvis height in the world [m]."""
 
     @classmethod
-    def preset(cls, robot: RobotParams, n_steps: int = 8, first_swing: int = LEFT) -> "PolynomialGait":
-        """Plan a walk with the preset parameters of a known robot."""
+    def preset(
+        cls, robot: RobotParams, n_steps: SupportsIndex = 8, first_swing: SupportsIndex = LEFT
+    ) -> "PolynomialGait":
+        """Plan a walk with the preset parameters of a known robot, or of one that walks like it.
+
+        Raises:
+            GaitError: if neither its name nor its `walks_like` is that of a preset.
+        """
         from jaxbiped.planner.presets import polynomial_params
 
-        return cls.make(robot, polynomial_params(robot.name), n_steps, first_swing)
+        return cls.make(robot, polynomial_params(robot), n_steps, first_swing)
 
     @classmethod
     def make(
-        cls, robot: RobotParams, params: PolynomialParams, n_steps: int, first_swing: int = LEFT
+        cls,
+        robot: RobotParams,
+        params: PolynomialParams,
+        n_steps: SupportsIndex,
+        first_swing: SupportsIndex = LEFT,
     ) -> "PolynomialGait":
         """Plan a walk.
 
         Raises:
             GaitError: if the parameters cannot be walked by this robot (only where their values are known).
         """
-        require_steps(n_steps, first_swing)
+        n_steps, first_swing = require_steps(n_steps, first_swing)
         known = is_concrete(params, robot)
         if known:
             _require_sane(robot, params)
@@ -247,25 +280,19 @@ class PolynomialGait(eqx.Module):
 
 
 def _require_sane(robot: RobotParams, p: PolynomialParams) -> None:
-    for name in ("T_s", "T_d"):
-        require(name, getattr(p, name), "> 0 s", getattr(p, name) > 0.0)
+    require_within(p, QUANTITIES)
+    speed = Quantity("m/s", -5.0, 5.0)
+    ends = {name: speed if name.startswith("v_") else _OFFSET for name in StartStop.__dataclass_fields__}
+    require_within(p.start_stop, ends, "start_stop.")
     for name in ("T_ini", "T_end"):
         least = 0.5 * p.T_d
         require(name, getattr(p, name), f">= T_d / 2 = {float(least):g} s", getattr(p, name) >= least)
-    require("D_s", p.D_s, ">= 0 m", p.D_s >= 0.0, unit="m")
-    require("H_max", p.H_max, "> 0 m (the swing foot must not go below the ground)", p.H_max > 0.0, unit="m")
-    require("z_min", p.z_min, "> 0 m", p.z_min > 0.0, unit="m")
     require("z_max", p.z_max, f">= z_min = {float(p.z_min):g} m", p.z_max >= p.z_min, unit="m")
     inner = float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
     require("L_p", p.L_p, f"> {inner:g} m (the soles must not overlap)", p.L_p > inner, unit="m")
-    for name in ("x_s", "x_e", "y_d", "y_m"):
-        require(name, getattr(p, name), "a finite number", unit="m")
-    for name in StartStop.__dataclass_fields__:
-        unit = "m/s" if name.startswith("v_") else "m"
-        require(f"start_stop.{name}", getattr(p.start_stop, name), "a finite number", unit=unit)
 
 
-@eqx.filter_jit
+@runtime.jit
 def _plan(p: PolynomialParams, n_steps: int, first_swing: int) -> PolynomialGait:
     return PolynomialGait(
         params=p,

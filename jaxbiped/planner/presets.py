@@ -10,24 +10,35 @@ surena3, cosine: neither source has it; w and x_ref were optimised for the ZMP m
 from jaxbiped.planner.checks import GaitError
 from jaxbiped.planner.cosine_gait import CosineParams
 from jaxbiped.planner.polynomial_gait import PolynomialParams, StartStop
+from jaxbiped.robot import RobotParams
 
 
-def polynomial_params(robot_name: str) -> PolynomialParams:
-    """Preset of the polynomial gait for a preset robot."""
-    return _of(_POLYNOMIAL, robot_name, "PolynomialGait.make(robot, PolynomialParams(...), n_steps)")()
+def polynomial_params(robot: str | RobotParams) -> PolynomialParams:
+    """Return the preset of the polynomial gait for a preset robot, by its name, or for one that walks like it.
+
+    Raises:
+        GaitError: if there is none.
+    """
+    return _of(_POLYNOMIAL, robot, "PolynomialGait.make(robot, PolynomialParams(...), n_steps)")()
 
 
-def cosine_params(robot_name: str) -> CosineParams:
-    """Preset of the cosine gait for a preset robot."""
-    return _of(_COSINE, robot_name, "CosineGait.make(robot, CosineParams(...), n_steps)")()
+def cosine_params(robot: str | RobotParams) -> CosineParams:
+    """Return the preset of the cosine gait for a preset robot, by its name, or for one that walks like it.
+
+    Raises:
+        GaitError: if there is none.
+    """
+    return _of(_COSINE, robot, "CosineGait.make(robot, CosineParams(...), n_steps)")()
 
 
-def _of(table: dict, robot_name: str, otherwise: str):
-    if robot_name not in table:
+def _of(table: dict, robot: str | RobotParams, otherwise: str):
+    name = robot if isinstance(robot, str) else robot.preset_name
+    if name not in table:
         raise GaitError(
-            f"preset gait: got robot {robot_name!r}, allowed: {', '.join(table)}; otherwise {otherwise}"
+            f"preset gait: got robot {name!r}, allowed: {', '.join(table)}; otherwise add "
+            f"walks_like = {' or '.join(f'{known!r}' for known in table)} to the robot's file, or use {otherwise}"
         )
-    return table[robot_name]
+    return table[name]
 
 
 def _surena3_polynomial() -> PolynomialParams:

@@ -92,10 +92,16 @@ def sensitivity(
         panel.axhline(0.0, color=FAINT, lw=0.6)
         panel.plot(x, secants[:, i], "o", mfc="none", color=ORANGE, ms=5, label="secant")
         panel.plot(x, derivatives[:, i], "x", color=BLUE, ms=4, label="derivative")
-        panel.set_title(name, fontsize=9, loc="left")
-        reach = np.nanpercentile(np.abs(secants[:, i]), 95) if len(x) else 0.0
+        known = np.abs(secants[np.isfinite(secants[:, i]), i])
+        reach = np.percentile(known, 95) if known.size else 0.0
+        outside = 0
         if reach > 0.0:
             panel.set_ylim(-2.0 * reach, 2.0 * reach)
+            outside = sum(
+                int((np.abs(values[:, i]) > 2.0 * reach).sum()) for values in (secants, derivatives)
+            )
+        beyond = f" ({outside} beyond the panel)" if outside else ""
+        panel.set_title(f"{name}{beyond}", fontsize=9, loc="left")
     for panel in panels[len(names) :]:
         panel.remove()
     panels[0].legend(frameon=False, fontsize=8)

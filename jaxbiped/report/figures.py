@@ -4,13 +4,16 @@ Every function takes what a planner gives, sampled over time (a leading axis), a
 Figure. No pyplot: nothing global is touched.
 """
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxbiped import files
 from jaxbiped.planner import SINGLE_SUPPORT, Feasibility, Phase, TaskSpace
+from jaxbiped.report.quantities import rounded
 from jaxbiped.robot import SIDE_NAMES
 
 try:
@@ -33,6 +36,8 @@ MEASURED = "measured"
 LEGEND_WIDTH = 122
 """Widest row of a legend, in letters; a handle counts as eight."""
 SHADE_LABEL = "single support (white: double)"
+_HALF_A_SAMPLE = 5e-3
+"""Around a time that has no neighbor [s]."""
 _AXIS_WORDS = ("forward, x", "lateral (left), y", "up, z")
 
 
@@ -102,7 +107,7 @@ def pelvis(
 
 
 def zmp(report: Feasibility, phase: Phase, axis: int, title: str = "ZMP") -> Figure:
-    """Draw the ZMP, the centre of mass and the edges of the support along one axis (khadiv Figs. 8 and 9).
+    """Draw the ZMP, the center of mass and the edges of the support along one axis (khadiv Figs. 8 and 9).
 
     Args:
         report: what a gait takes, with a leading axis n.
@@ -134,16 +139,20 @@ def feasibility_page(report: Feasibility, phase: Phase, title: str = "Feasibilit
     time = np.asarray(report.time)
     figure, panels = _panels(5, title, phase.support, time, height=9.6)
     margin, friction, torque, speed, knee = panels
-    _draw_worst(margin, time, 1e3 * np.asarray(report.zmp_margin), "ZMP margin\n[mm]", np.min, "smallest")
-    _draw_worst(friction, time, np.asarray(report.friction), "friction needed\n[-]", np.max, "largest")
+    _draw_worst(
+        margin, time, 1e3 * np.asarray(report.zmp_margin), "ZMP margin\n[mm]", np.nanmin, "smallest", 1
+    )
+    _draw_worst(friction, time, np.asarray(report.friction), "friction needed\n[-]", np.nanmax, "largest", 3)
     percent = ((torque, report.torque_share, "torque"), (speed, report.speed_share, "speed"))
     for axes, share, word in percent:
-        _draw_worst(axes, time, 1e2 * np.asarray(share), f"joint {word}\n[% of limit]", np.max, "largest")
+        _draw_worst(
+            axes, time, 1e2 * np.asarray(share), f"joint {word}\n[% of limit]", np.nanmax, "largest", 1
+        )
     bend = np.degrees(np.asarray(report.knee))
     for side, name in enumerate(SIDE_NAMES):
         knee.plot(time, bend[:, side], color=SIDE_COLORS[side], ls=SIDE_DASHES[side], label=f"{name} knee")
     knee.set_ylabel("knee bend\n[deg]")
-    knee.set_ylim(0.0, 1.08 * float(bend.max()))
+    knee.set_ylim(_from_zero(bend))
     return _finish(figure, panels)
 
 
@@ -184,10 +193,19 @@ def dress(axes: Axes) -> None:
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as a PNG and return its path."""
-    path = Path(path)
-    figure.savefig(path, dpi=DPI, format="png")
-    return path
+    """Write a figure as a PNG, whole or not at all, and return its path.
+
+    Raises:
+        OSError: with the name of the file, when it cannot be written.
+    """
+    return files.write(path, png(figure))
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as the content of a PNG file."""
+    content = io.BytesIO()
+    figure.savefig(content, dpi=DPI, format="png")
+    return content.getvalue()
 
 
 def _panels(
@@ -210,6 +228,8 @@ def _panels(
 
 def _sample_edges(time: np.ndarray) -> np.ndarray:
     """The n + 1 borders between n samples, the outer ones half a sample beyond the first and the last."""
+    if len(time) < 2:
+        return np.concatenate([time - _HALF_A_SAMPLE, time[-1:] + _HALF_A_SAMPLE])
     middles = 0.5 * (time[1:] + time[:-1])
     return np.concatenate([[1.5 * time[0] - 0.5 * time[1]], middles, [1.5 * time[-1] - 0.5 * time[-2]]])
 
@@ -241,13 +261,24 @@ def _draw_measured(axes: Axes, time: Any, values: np.ndarray, label: str) -> Non
     axes.plot(time, values, color=INK, lw=0.8, label=label)
 
 
-def _draw_worst(axes: Axes, time: np.ndarray, values: np.ndarray, label: str, worst: Any, word: str) -> None:
-    """A curve and a line at its worst value; from zero up, or from below it if the curve goes there."""
-    extreme = float(worst(values))
+def _draw_worst(
+    axes: Axes, time: np.ndarray, values: np.ndarray, label: str, worst: Any, word: str, decimals: int
+) -> None:
+    """A curve and a line at its worst value."""
     axes.plot(time, values, color=INK, label="_nolegend_")
-    axes.axhline(extreme, color=ORANGE, lw=1.0, ls="--", label=f"{word} {extreme:.3g}")
     axes.set_ylabel(label)
-    axes.set_ylim(1.08 * min(0.0, float(values.min())), 1.08 * float(values.max()))
+    axes.set_ylim(_from_zero(values))
+    if np.isfinite(values).any():
+        extreme = float(worst(np.where(np.isfinite(values), values, np.nan)))
+        said = f"{word} {rounded(extreme, decimals, strip=True)}"
+        axes.axhline(extreme, color=ORANGE, lw=1.0, ls="--", label=said)
+
+
+def _from_zero(values: np.ndarray) -> tuple[float, float]:
+    """Ends of an axis that shows zero and all values."""
+    known = np.append(values[np.isfinite(values)], 0.0)
+    low, high = 1.08 * float(known.min()), 1.08 * float(known.max())
+    return (low, high) if low < high else (-1.0, 1.0)
 
 
 def _finish(figure: Figure, panels: Sequence[Axes]) -> Figure:

@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from jaxbiped.batch import summary
+from jaxbiped.batch import NEVER, summary
 from jaxbiped.report.figures import BLUE, DPI, GREEN, INK, LEGEND_WIDTH, ORANGE, PURPLE, dress
+from jaxbiped.report.quantities import short, shown
 
 THESIS_TABLES = {
     1: "Table 4.1, no reflex (the calibration)",
@@ -38,26 +39,17 @@ MOST_CAUSES = 10
 """Inputs shown per arm."""
 _ARM_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK, "#E69F00")
 _ARM_MARKERS = "osDvXP"
+_ARM_DASHES = ("-", "--", ":", "-.")
+_LINE_WIDTH, _MARKER_SIZE = 1.2, 4.5
+"""Of the arm in front [pt]."""
+_WIDER, _LARGER = 1.3, 3.5
+"""How much wider the line and larger the marker of every arm is than those of the next one before it [pt]."""
+_MOST_WIDER, _MOST_LARGER = 6.5, 16.0
+"""Of the one behind all others, over the one in front [pt]."""
 _NOT_RUN_FILL = "#d9dce1"
 _SUCCESS = LinearSegmentedColormap.from_list("success", [ORANGE, "#f1eee8", BLUE])
-_WORDS = {
-    "load_time_s": "time of the load",
-    "sinkage_m": "sinkage of the ground",
-    "damping_s_per_m": "damping of the ground",
-    "delta_z_m": "gap of the switches",
-    "bounce_s": "bounce of the switches",
-    "delay_s": "delay of the readings",
-    "gain_scale": "servo gains, factor",
-    "reach_margin_m": "margin of reach",
-    "zmp_margin_m": "ZMP margin",
-}
-_SHIFTED = {"load": "load", "com": "trunk's COM", "push": "push"}
-_WAYS = {"x": "forward", "y": "to the left", "z": "upward"}
-_UNITS = {
-    **{"m_per_s": "m/s", "s_per_m": "s/m", "deg": "deg", "rad": "deg", "kg": "kg", "Ns": "N s", "N": "N"},
-    **{"s": "s", "m": "mm", "scale": "-"},
-}
-"""What is shown for the unit at the end of a column's name."""
+_AT_THE_EDGE = 0.03
+"""Where crosses stand, as a part of a panel's height."""
 _MOST_ROWS_NUMBERED = 16
 _TICK_STEPS = (1, 2, 4, 5, 10, 20, 50)
 _LETTERS_PER_INCH = 13.0
@@ -72,15 +64,6 @@ class Agreement(NamedTuple):
     """Cells that are both printed and walked."""
     by_load: pl.DataFrame
     """The same for every load: columns load_kg, agree, compared."""
-
-
-class Shown(NamedTuple):
-    """How the values of a column are shown to a person."""
-
-    label: str
-    """Words and unit."""
-    factor: float
-    """From the column's unit to the one shown."""
 
 
 def thesis_table(number: int) -> pl.DataFrame:
@@ -125,22 +108,27 @@ def tick_table(walks: pl.DataFrame, offset_s: float) -> str:
 def beside_thesis(walks: pl.DataFrame, number: int, offset_s: float) -> str:
     """Write the walks of one arm and a table of the thesis side by side, differing cells marked with a star.
 
-    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions, and the title says which it is. All
-    that was printed or walked is shown; a time printed twice has two rows.
+    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions, and the title says which it is. Times
+    and loads that were run are shown, and it is said how many cells of the thesis were not; a time printed twice has
+    two rows. Where no cell was both printed and run, one line says so.
 
     Args:
         walks: the rows of one arm; those without a load are left out.
         number: of the thesis' table: 1, 2 or 3.
         offset_s: what the thesis' time is earlier than ours, T_ini [s].
     """
-    ours, printed = _our_cells(walks, offset_s), _printed_rows(thesis_table(number))
-    loads = sorted({load for _, load in ours} | {load for _, row in printed for load in row})
-    listed = {time for time, _ in printed}
-    rows = printed + [(time, {}) for time in {time for time, _ in ours} - listed]
+    ours, printed = _our_cells(walks, offset_s), thesis_table(number)
     agree, compared, _ = agreement(walks, number, offset_s)
+    if not compared:
+        return f"{_title(walks)}: no cell of {THESIS_TABLES[number]}, was run"
+    times, loads = (sorted({key[i] for key in ours}) for i in range(2))
+    said = [row for row in _printed_rows(printed) if row[0] in times]
+    rows = said + [(time, {}) for time in set(times) - {time for time, _ in said}]
     head = _line("load [kg]", [_milli_text(load) for load in loads])
+    cells = len(_printed_cells(printed))
+    missing = f"; {cells - compared} of the thesis' {cells} cells were not run" if cells > compared else ""
     lines = [
-        f"{_title(walks)}, beside {THESIS_TABLES[number]}: {agree} of {compared} cells agree",
+        f"{_title(walks)}, beside {THESIS_TABLES[number]}: {agree} of {compared} cells agree{missing}",
         f"{'':10}{'ours':^{_WIDTH * len(loads)}} |{'thesis':^{_WIDTH * len(loads)}}",
         f"{head} |{head[10:]}",
         "time [s]",
@@ -192,7 +180,7 @@ def heat_map(
     """Draw the success rate, or the mean of a column, over two inputs: a panel per arm, a cell per pair of values.
 
     Cells are equally large whatever the steps between values; an input of more than MOST_VALUES values is cut into
-    PARTS equal parts. Cells that were not run, or where the column has no finite value, are grey.
+    PARTS equal parts. Cells that were not run, or where the column has no finite value, are gray.
 
     Args:
         table: one row per walk.
@@ -209,7 +197,10 @@ def heat_map(
     if marks is not None and ({x, y} != {"load_kg", "load_time_s"} or offset_s is None):
         raise ValueError("marks need load_kg and load_time_s as axes, and offset_s")
     table = summary.without_never(table, [x, y]).drop_nulls([x, y])
+    if table.is_empty():
+        raise ValueError(f"a map needs walks with both {x} and {y}; there are none")
     table = _on_thesis_clock(table, offset_s)
+    x_label, y_label = (_clocked(name, offset_s) + _said_parted(table[name]) for name in (x, y))
     table = table.with_columns(_parted(table[x]), _parted(table[y]))
     by_arm = {arm: table.filter(pl.col("arm") == arm) for arm in summary.arms(table)}
     sides = _Sides(x, y, *(table[name].unique().sort().to_list() for name in (x, y)))
@@ -222,7 +213,7 @@ def heat_map(
         printed = marks.get(arm) if isinstance(marks, Mapping) else marks
         if printed is not None:
             _outline(axes, walks, printed, sides)
-    _label_map(panels, _clocked(x, offset_s), _clocked(y, offset_s))
+    _label_map(panels, x_label, y_label)
     _map_legend(figure, values.values(), marks is not None)
     _color_bar(figure, panels, "success rate [-]" if value is None else f"mean {shown(value).label}")
     return figure
@@ -236,6 +227,9 @@ def frontier_figure(
     offset_s: float | None = None,
 ) -> Figure:
     """Draw how far up an input can go (`summary.frontier`) over another: a panel per level, a curve per arm.
+
+    Every point stands at its own values; of curves that coincide, the ones behind are wider and have larger markers.
+    Where there is no limit, since the first value falls short already, a cross stands at the panel's lower edge.
 
     Args:
         limits: of `summary.frontier` with the same `what` and `by`.
@@ -252,18 +246,21 @@ def frontier_figure(
         for i, arm in enumerate(names):
             for way in limits["direction"].unique(maintain_order=True):
                 line = limits.filter(arm=arm, level=level, direction=way).sort(by)
-                _draw_limit(axes, line, what, by, i, len(names))
+                _draw_limit(axes, line, what, by, _arm_style(i, len(names)))
         axes.set_title(f"success rate of {100 * level:.3g} % and more", fontsize=10, color=INK, loc="left")
         axes.set_ylabel(f"limit:\n{quantity.label}")
         low, high = axes.get_ylim()
-        axes.set_ylim(min(low, -0.06 * (high - low)), high + 0.06 * (high - low))
-    panels[-1].set_xlabel(_clocked(by, offset_s))
-    handles = [_arm_handle(arm, i) for i, arm in enumerate(names)]
+        low, room = min(low, 0.0), 0.06 * (high - min(low, 0.0))
+        axes.set_ylim(low - 2.0 * room, high + room)
+    if len(panels):
+        panels[-1].set_xlabel(_clocked(by, offset_s))
+    handles = [_arm_handle(arm, i, len(names)) for i, arm in enumerate(names)]
     if limits["beyond"].any():
         handles.append(_handle("^", "held at every value tested"))
     if limits[what].null_count():
-        handles.append(_handle("x", "fails at the first value"))
-    _legend_below(figure, handles)
+        handles.append(_handle("x", "no limit: fails at the first value"))
+    if handles:
+        _legend_below(figure, handles)
     return figure
 
 
@@ -300,59 +297,40 @@ def causes_figure(found: pl.DataFrame, title: str) -> Figure:
 def cells_figure(table: pl.DataFrame, x: str, title: str, forces: Sequence[str] = FEET) -> Figure:
     """Draw success and foot force over one input: rates with Wilson's 95 % bars above, the larger foot's force below.
 
-    The force is the mean over the walks at each value; its bars reach from the smallest to the largest.
+    The force is the mean over the walks at each value; its bars reach from the smallest to the largest. Every point
+    stands at its own value; of arms that coincide, the ones behind are wider and have larger markers.
 
     Args:
         table: one row per walk.
-        x: the input, such as step_2_height_m; one of more than MOST_VALUES values is cut into PARTS equal parts.
+        x: the input, such as step_2_height_m; one of more than MOST_VALUES values is cut into PARTS equal parts, and
+            a part's point stands at the mean of its values.
         title: heading of the figure.
         forces: columns of which each walk's largest is drawn below [N].
     """
     table = summary.without_never(table, [x]).drop_nulls(x)
     largest = pl.max_horizontal(*forces)
-    table = table.with_columns(_parted(table[x]), largest=pl.when(largest.is_finite()).then(largest))
-    quantity, names = shown(x), summary.arms(table)
+    quantity, names, parted = shown(x), summary.arms(table), _said_parted(table[x])
+    if parted:
+        table = table.with_columns(pl.col(x).mean().over(_parted(table[x])))
+    table = table.with_columns(largest=pl.when(largest.is_finite()).then(largest))
     rates = summary.cells(table, [x])
     force = table.group_by("arm", x).agg(
         mean=pl.col("largest").mean(), low=pl.col("largest").min(), high=pl.col("largest").max()
     )
     figure, panels = _stack(2, title, 6.4)
-    places = quantity.factor * rates[x].unique().sort().to_numpy()
-    step = float(np.diff(places).min()) if len(places) > 1 else 1.0
     for i, arm in enumerate(names):
-        aside = 0.12 * step * (i - 0.5 * (len(names) - 1))
         for axes, cells, middle in ((panels[0], rates, "rate"), (panels[1], force, "mean")):
             one = cells.filter(pl.col("arm") == arm).drop_nulls(middle).sort(x)
-            _draw_bars(axes, quantity.factor * one[x].to_numpy() + aside, one, middle, i)
-    panels[0].set_ylim(-0.04, 1.04)
+            _draw_bars(axes, quantity.factor * one[x].to_numpy(), one, middle, _arm_style(i, len(names)))
+    panels[0].set_ylim(-0.07, 1.07)
     panels[0].set_ylabel("success rate [-]")
     panels[1].set_ylim(bottom=0.0)
     panels[1].set_ylabel("peak foot force [N]")
-    panels[1].set_xlabel(quantity.label)
-    _legend_below(figure, [_arm_handle(arm, i) for i, arm in enumerate(names)])
+    panels[1].set_xlabel(quantity.label + parted)
+    if names:
+        _legend_below(figure, [_arm_handle(arm, i, len(names)) for i, arm in enumerate(names)])
     figure.align_ylabels(panels)
     return figure
-
-
-def shown(column: str) -> Shown:
-    """Say how a column of a table of walks is labelled: words and a unit, meters as mm and radians as degrees."""
-    unit = next((unit for unit in _UNITS if column.endswith(f"_{unit}")), None)
-    if column in ("x_m", "y_m"):
-        return Shown(f"{_WAYS[column[0]]}, {column[0]} [m]", 1.0)
-    factor = {"m": 1e3, "rad": math.degrees(1.0)}.get(unit or "", 1.0)
-    return Shown(f"{_words(column, unit)} [{_UNITS.get(unit or '', '-')}]", factor)
-
-
-def _words(column: str, unit: str | None) -> str:
-    if column in _WORDS:
-        return _WORDS[column]
-    step, way = re.fullmatch(r"step_(\d+)_height_m", column), re.fullmatch(r"([a-z]+)_([xyz])_\w+", column)
-    if step:
-        return f"height under foothold {step[1]}"
-    if way and way[1] in _SHIFTED:
-        return f"{_SHIFTED[way[1]]} {_WAYS[way[2]]}"
-    words = column.removesuffix(f"_{unit}").replace("_", " ")
-    return f"{words}, factor" if unit == "scale" else words
 
 
 # ---- the thesis' tables
@@ -376,8 +354,9 @@ def _our_cells(walks: pl.DataFrame, offset_s: float) -> dict[Cell, tuple[int, in
     """Successes and walks at each time and load."""
     _one_arm(walks)
     found: dict[Cell, tuple[int, int]] = {}
-    for time, load, success in walks.select("load_time_s", "load_kg", "success").iter_rows():
-        if load and math.isfinite(time):
+    known = walks.filter((pl.col("load_kg") > 0.0) & (pl.col("load_time_s") < NEVER))
+    for time, load, success in known.select("load_time_s", "load_kg", "success").iter_rows():
+        if math.isfinite(time):
             key = (_milli(time - offset_s), _milli(load))
             won, n = found.get(key, (0, 0))
             found[key] = (won + success, n + 1)
@@ -457,7 +436,7 @@ def _figure(title: str, size: tuple[float, float]) -> Figure:
 def _stack(rows: int, title: str, height: float) -> tuple[Figure, Sequence[Axes]]:
     """Panels over one another that share the horizontal axis."""
     figure = _figure(title, (9.0, height))
-    panels = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    panels = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]) if rows else []
     for axes in panels:
         dress(axes)
     return figure, panels
@@ -468,16 +447,22 @@ def _handle(marker: str, label: str) -> Line2D:
     return Line2D([], [], color=INK, ls="", marker=marker, markerfacecolor=fill, label=label)
 
 
-def _arm_style(i: int) -> dict[str, Any]:
+def _arm_style(i: int, n: int) -> dict[str, Any]:
+    """Of the i-th of n arms: each is drawn over the one before it, narrower, so that both show where they coincide."""
+    behind, steps = n - 1 - i, max(1, n - 1)
     return {
         "color": _ARM_COLORS[i % len(_ARM_COLORS)],
         "marker": _ARM_MARKERS[i % len(_ARM_MARKERS)],
-        "ms": 4.5,
+        "ls": _ARM_DASHES[i // len(_ARM_COLORS) % len(_ARM_DASHES)],
+        "lw": _LINE_WIDTH + behind * min(_WIDER, _MOST_WIDER / steps),
+        "ms": _MARKER_SIZE + behind * min(_LARGER, _MOST_LARGER / steps),
+        "mfc": "none",
+        "zorder": 2.0 + i / n,
     }
 
 
-def _arm_handle(arm: str, i: int) -> Line2D:
-    return Line2D([], [], label=arm, lw=1.4, **_arm_style(i))
+def _arm_handle(arm: str, i: int, n: int) -> Line2D:
+    return Line2D([], [], label=arm, **_arm_style(i, n))
 
 
 def _legend_below(figure: Figure, handles: Sequence[Any]) -> None:
@@ -500,6 +485,11 @@ def _parted(values: pl.Series) -> pl.Series:
     edges = np.linspace(known.min(), known.max(), PARTS + 1)
     part = np.clip(np.searchsorted(edges, known, side="right") - 1, 0, PARTS - 1)
     return pl.Series(values.name, 0.5 * (edges[part] + edges[part + 1]))
+
+
+def _said_parted(values: pl.Series) -> str:
+    """What a label adds where values were put together to parts."""
+    return f", in {PARTS} parts" if values.n_unique() > MOST_VALUES else ""
 
 
 def _on_thesis_clock(table: pl.DataFrame, offset_s: float | None) -> pl.DataFrame:
@@ -559,6 +549,8 @@ def _map_colors(values: Iterable[np.ndarray], value: str | None) -> dict[str, An
         return {"cmap": _SUCCESS, "vmin": 0.0, "vmax": 1.0}
     known = np.concatenate([v[np.isfinite(v)] for v in values])
     low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
+    if low == high:
+        low, high = low - 0.5, high + 0.5
     return {"cmap": "viridis", "vmin": low, "vmax": high}
 
 
@@ -583,7 +575,7 @@ def _dress_map(axes: Axes, arm: str, sides: _Sides, width: float) -> None:
 
 
 def _tick_texts(values: Sequence[Any], column: str) -> list[str]:
-    return [f"{shown(column).factor * value:.3g}" for value in values]
+    return [short(value, column) for value in values]
 
 
 def _ticks(texts: Sequence[str], fits: Callable[[Sequence[str]], bool]) -> tuple[list[float], list[str]]:
@@ -629,18 +621,17 @@ def _map_legend(figure: Figure, values: Iterable[np.ndarray], marked: bool) -> N
 # ---- curves and bars
 
 
-def _draw_limit(axes: Axes, line: pl.DataFrame, what: str, by: str, i: int, n: int) -> None:
-    """One arm's limit one way; curves that coincide are set off a little from each other."""
-    style, quantity = _arm_style(i), shown(what)
+def _draw_limit(axes: Axes, line: pl.DataFrame, what: str, by: str, style: Mapping[str, Any]) -> None:
+    """One arm's limit one way."""
     places = shown(by).factor * line[by].cast(pl.Float64).to_numpy()
-    step = float(np.diff(places).min()) if len(places) > 1 else 0.0
-    places = places + 0.16 * step * (i - 0.5 * (n - 1))
-    limit = quantity.factor * line[what].cast(pl.Float64).fill_null(math.nan).to_numpy()
+    limit = shown(what).factor * line[what].cast(pl.Float64).fill_null(math.nan).to_numpy()
     beyond, nothing = line["beyond"].to_numpy(), np.isnan(limit)
-    axes.plot(places, limit, color=style["color"], lw=1.2)
-    axes.plot(places[~beyond], limit[~beyond], ls="", **style)
-    axes.plot(places[beyond], limit[beyond], ls="", marker="^", ms=6, mfc="white", color=style["color"])
-    axes.plot(places[nothing], np.zeros(nothing.sum()), ls="", marker="x", ms=5, color=style["color"])
+    points = {**style, "ls": ""}
+    axes.plot(places, limit, **{**style, "marker": ""})
+    axes.plot(places[~beyond], limit[~beyond], **points)
+    axes.plot(places[beyond & ~nothing], limit[beyond & ~nothing], **{**points, "marker": "^"})
+    edge = np.full(nothing.sum(), _AT_THE_EDGE)
+    axes.plot(places[nothing], edge, transform=axes.get_xaxis_transform(), **{**points, "marker": "x"})
 
 
 def _draw_causes(axes: Axes, rows: pl.DataFrame, color: str) -> None:
@@ -654,7 +645,9 @@ def _draw_causes(axes: Axes, rows: pl.DataFrame, color: str) -> None:
         axes.text(row["information_bits"], place, text, va="center", fontsize=8.5, color=INK)
 
 
-def _draw_bars(axes: Axes, places: np.ndarray, cells: pl.DataFrame, middle: str, i: int) -> None:
+def _draw_bars(
+    axes: Axes, places: np.ndarray, cells: pl.DataFrame, middle: str, style: Mapping[str, Any]
+) -> None:
     heart = cells[middle].to_numpy()
     reach = np.maximum(0.0, [heart - cells["low"].to_numpy(), cells["high"].to_numpy() - heart])
-    axes.errorbar(places, heart, reach, lw=1.2, elinewidth=1.0, capsize=2.0, **_arm_style(i))
+    axes.errorbar(places, heart, reach, elinewidth=style["lw"], capsize=0.6 * style["ms"], **style)

@@ -1,14 +1,21 @@
 """A results table as one page: what was walked, how much succeeds, where it breaks, and what explains it."""
 
-from collections.abc import Mapping
+import functools
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
+import numpy as np
 import polars as pl
 
-from jaxbiped.batch import Experiment, steps_of, summary
+from jaxbiped import robot
+from jaxbiped.batch import NEVER, Experiment, steps_of, summary
 from jaxbiped.planner import CosineGait
-from jaxbiped.report import grids
+from jaxbiped.report import grids, quantities
 from jaxbiped.report.page import Picture, Section
 
 THESIS = {"off": 1, "original": 2, "modified": 3}
@@ -17,19 +24,33 @@ FEW = 64
 """Values of an input that make a grid; more are a random draw."""
 LISTED = 40
 """Failures that are listed."""
-SHOWN = ("row", "arm", "status", "end_time_s", "peak_roll_deg", "peak_pitch_deg", "zmp_margin_m")
+SHOWN = (
+    *("row", "arm", "status", "success", "end_time_s"),
+    *("peak_roll_deg", "peak_pitch_deg", "zmp_margin_m"),
+)
+WENT_WRONG = {
+    "fell": "fell",
+    "airborne": "was airborne",
+    "nonfinite": "came to numbers that are not finite",
+}
+"""What a status says of a walk that broke down, in words."""
+COMMAND = "run it again"
+"""Column of the commands that run a listed walk again."""
 
 
-def sections(experiment: Experiment, table: pl.DataFrame, about: str = "") -> list[Section]:
+def sections(
+    experiment: Experiment, table: pl.DataFrame, about: str = "", folder: Path | None = None
+) -> list[Section]:
     """All that can be said of a table, as sections of a page.
 
     Args:
         experiment: what was walked.
         table: its rows so far.
         about: put before every heading, where a page has several tables.
+        folder: where the table is, for the commands that run a walk again; the word FOLDER if it is not given.
     """
     start, varied = clock_start(experiment), varying(table)
-    found = [_what(experiment, table, varied), _success(table)]
+    found = [_what(experiment, table, varied), _success(experiment, table)]
     if grid_of_loads(table, varied):
         found.append(_loads(experiment, table, start))
     found += [
@@ -39,8 +60,8 @@ def sections(experiment: Experiment, table: pl.DataFrame, about: str = "") -> li
     ]
     if len(varied) > 2:
         found.append(_causes(table))
-    if not table["success"].all():
-        found.append(_failures(table, varied))
+    if failing(table).height:
+        found.append(_failures(table, varied, folder))
     return [replace(section, heading=f"{about}{section.heading}") for section in found]
 
 
@@ -56,36 +77,59 @@ def varying(table: pl.DataFrame) -> list[str]:
 
 
 def grid_of_loads(table: pl.DataFrame, varied: list[str]) -> bool:
-    """Whether loads and loading times make a grid."""
-    both = {"load_kg", "load_time_s"}
-    return both <= set(varied) and all(table[name].n_unique() <= FEW for name in both)
+    """Whether loads and loading times make a grid: few of both, one of which varies unless nothing does."""
+    both = ("load_kg", "load_time_s")
+    if not set(both) <= set(table.columns) or (varied and not set(both) & set(varied)):
+        return False
+    loaded = table.filter((pl.col("load_kg") > 0.0) & (pl.col("load_time_s") < NEVER))
+    return loaded.height > 0 and all(loaded[name].n_unique() <= FEW for name in both)
+
+
+def failing(table: pl.DataFrame) -> pl.DataFrame:
+    """Walks that are no success by the rule, or broke down at any time, be it after their success."""
+    return table.filter(~pl.col("success") | pl.col("status").is_in(list(WENT_WRONG)))
 
 
 def is_thesis_experiment(experiment: Experiment) -> bool:
-    """Whether the walks are the thesis' own: its robot and its gait."""
-    gait = next(iter(experiment.arms.values())).gait
-    return experiment.robot.name == "elkahlout" and isinstance(gait, CosineGait)
+    """Whether the walks are the thesis' own: by the numbers of the robot, whatever its name, and the kind of gait."""
+    ours, thesis = _numbers(experiment.robot), _numbers_of_the_thesis()
+    same = len(ours) == len(thesis) and all(map(np.array_equal, ours, thesis))
+    return same and all(isinstance(arm.gait, CosineGait) for arm in experiment.arms.values())
+
+
+def _numbers(params: robot.RobotParams) -> list[np.ndarray]:
+    """Every number of a robot; in single precision, in which all of them can be given."""
+    return [np.asarray(leaf, np.float32) for leaf in jax.tree.leaves(eqx.filter(params, eqx.is_array_like))]
+
+
+@functools.cache
+def _numbers_of_the_thesis() -> list[np.ndarray]:
+    return _numbers(robot.load("elkahlout"))
 
 
 def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, grids.Agreement]:
-    """Of every arm that answers to a table of the thesis: in how many cells both say the same."""
+    """Of every arm that answers to a table of the thesis and has a walk: in how many cells both say the same."""
     if not is_thesis_experiment(experiment):
         return {}
-    start = clock_start(experiment)
+    start, walked = clock_start(experiment), summary.arms(table)
     return {
         arm: grids.agreement(table.filter(pl.col("arm") == arm), number, start)
         for arm, number in THESIS.items()
-        if arm in experiment.arms
+        if arm in walked
     }
 
 
 def agreement_in_words(arm: str, one: grids.Agreement) -> str:
     """One line; the first table is what the robot's assumed numbers were calibrated on."""
     kind = "calibration" if THESIS[arm] == 1 else "prediction"
-    loads = ", ".join(f"{load:g} kg {agree} of {n}" for load, agree, n in one.by_load.iter_rows())
-    return (
-        f"Table 4.{THESIS[arm]} ({kind}), arm {arm}: {one.agree} of {one.compared} cells as printed ({loads})"
+    which = f"Table 4.{THESIS[arm]} ({kind}), arm {arm}"
+    if not one.compared:
+        return f"{which}: no cell of it was run"
+    loads = ", ".join(
+        f"{quantities.with_unit(load, 'load_kg')} {agree} of {n}"
+        for load, agree, n in one.by_load.iter_rows()
     )
+    return f"{which}: {one.agree} of {one.compared} cells as printed ({loads})"
 
 
 def _what(experiment: Experiment, table: pl.DataFrame, varied: list[str]) -> Section:
@@ -102,34 +146,63 @@ def _what(experiment: Experiment, table: pl.DataFrame, varied: list[str]) -> Sec
     return Section("What was walked", tuple(lines))
 
 
-def _success(table: pl.DataFrame) -> Section:
+def _success(experiment: Experiment, table: pl.DataFrame) -> Section:
     names, against = summary.arms(table), []
     for name in names[1:]:
+        if not _in_common(table, name, names[0]):
+            against.append(f"{name} and {names[0]} have no scenario in common so far.")
+            continue
         one = summary.paired(table, name, names[0])
         against.append(
             f"{name} against {names[0]}, on the same {one.n} scenarios: {one.only_first} succeed only with {name}, "
             f"{one.only_second} only with {names[0]}; difference {one.difference:+.1%} "
             f"(95 % interval {one.low:+.1%} to {one.high:+.1%})."
         )
-    words = ("Success by the rule of the paper, with 95 % Wilson intervals.", *against)
-    return Section("Success", words, (summary.cells(table),))
+    missing = [name for name in experiment.arms if name not in names]
+    unfinished = [f"No walk of {', '.join(missing)} has finished so far."] if missing else []
+    words = ("Success by the rule of the paper, with 95 % Wilson intervals.", *unfinished, *against)
+    rates = (summary.cells(table),) if names else ()
+    return Section("Success", (*words, *_afterwards(table)), rates)
+
+
+def _in_common(table: pl.DataFrame, arm: str, against: str) -> bool:
+    first, second = (table.filter(pl.col("arm") == name)["scenario"].to_list() for name in (arm, against))
+    return not set(first).isdisjoint(second)
+
+
+def _afterwards(table: pl.DataFrame) -> list[str]:
+    """How many walks met the rule and broke down later, in words: a line for each way of breaking down."""
+    lines = []
+    for status, words in WENT_WRONG.items():
+        later = table.filter(pl.col("success") & (pl.col("status") == status))
+        by_arm = (f"{arm} {n}" for arm, n in later.group_by("arm", maintain_order=True).len().iter_rows())
+        if later.height:
+            lines.append(
+                f"{_walks(later.height)} succeeded by the rule and {words} afterwards: {', '.join(by_arm)}."
+            )
+    return lines
+
+
+def _walks(n: int) -> str:
+    return f"{n} walk" if n == 1 else f"{n} walks"
 
 
 def _loads(experiment: Experiment, table: pl.DataFrame, start: float) -> Section:
-    thesis = is_thesis_experiment(experiment)
+    agreed = agreements(experiment, table)
     marks: Mapping[str, Any] | None = None
     words, texts = ["Load by time of loading."], []
     for walks in table.partition_by("arm", maintain_order=True):
         arm = walks["arm"][0]
-        if thesis and arm in THESIS:
+        if arm in agreed and agreed[arm].compared:
             texts.append(grids.beside_thesis(walks, THESIS[arm], start))
         else:
             texts.append(grids.tick_table(walks, start))
-    if thesis:
-        marks = {arm: grids.thesis_table(n) for arm, n in THESIS.items() if arm in experiment.arms}
-        words += [agreement_in_words(arm, one) for arm, one in agreements(experiment, table).items()]
+    words += [f"{agreement_in_words(arm, one)}." for arm, one in agreed.items()]
+    if any(one.compared for one in agreed.values()):
+        marks = {arm: grids.thesis_table(THESIS[arm]) for arm in agreed}
         words.append("Cells that differ from the printed table are outlined.")
-    axes = {"x": "load_kg", "y": "load_time_s", "offset_s": start}
+    offset = start or None  # a gait whose clock starts with the walk has no clock of its own
+    axes = {"x": "load_kg", "y": "load_time_s", "offset_s": offset}
     limits = summary.frontier(table)
     pictures = (
         Picture(grids.heat_map(table, title="Success", marks=marks, **axes), "Success of every cell."),
@@ -137,7 +210,7 @@ def _loads(experiment: Experiment, table: pl.DataFrame, start: float) -> Section
             grids.heat_map(table, title="Trunk pitch", value="peak_pitch_deg", **axes), "Largest trunk pitch."
         ),
         Picture(
-            grids.frontier_figure(limits, "Largest load that is survived", offset_s=start),
+            grids.frontier_figure(limits, "Largest load that is survived", offset_s=offset),
             "Success frontier: up to which load at least 95 % and 50 % of the walks succeed.",
         ),
     )
@@ -158,11 +231,43 @@ def _causes(table: pl.DataFrame) -> Section:
         "for the number of walks.",
     )
     picture = Picture(grids.causes_figure(found, "What explains failures"), "In bits; 0 explains nothing.")
-    return Section("Causes", words, (found.head(LISTED),), (picture,))
+    listed = found.head(LISTED)
+    ends = [
+        pl.Series(
+            end, [quantities.with_unit(v, name) for v, name in zip(listed[end], listed["input"], strict=True)]
+        )
+        for end in ("lowest_to", "highest_from")
+    ]
+    more = (_first(listed.height, found.height, "inputs"),) if found.height > listed.height else ()
+    return Section("Causes", (*words, *more), (listed.with_columns(ends),), (picture,))
 
 
-def _failures(table: pl.DataFrame, varied: list[str]) -> Section:
-    failed = table.filter(~pl.col("success"))
-    shown = [*SHOWN, *(name for name in varied if name not in SHOWN)]
-    words = f"{failed.height} walks are no success; `jaxbiped replay FOLDER ROW` walks one again."
-    return Section("Walks that fail", (words,), (failed.select(shown).head(LISTED),))
+def _failures(table: pl.DataFrame, varied: Sequence[str], folder: Path | None) -> Section:
+    failed = failing(table)
+    lost = int((~failed["success"]).sum())
+    words = [f"{lost} of {_walks(table.height)} {'is' if lost == 1 else 'are'} no success by the rule."]
+    words += _afterwards(table)
+    listed = failed.head(LISTED)
+    if failed.height > listed.height:
+        words.append(_first(listed.height, failed.height, "walks"))
+    shown = [name for name in (*SHOWN, *varied) if name in table.columns]
+    commands = pl.Series(COMMAND, [replay_command(folder, row) for row in listed["row"]], pl.String)
+    rows = listed.select(list(dict.fromkeys(shown))).with_columns(commands)
+    return Section("Walks that fail", tuple(words), (rows,))
+
+
+def replay_command(folder: Path | None, row: int) -> str:
+    """The command that runs one row of a table again.
+
+    Args:
+        folder: where the table is; None for the word FOLDER.
+        row: its number.
+    """
+    place = "FOLDER" if folder is None else str(folder)
+    # A name that begins with a dash would be read as an option.
+    place = f"./{place}" if place.startswith("-") else place
+    return f"jaxbiped replay {shlex.quote(place)} {row}"
+
+
+def _first(listed: int, n: int, what: str) -> str:
+    return f"The first {listed} of {n} {what} are listed."

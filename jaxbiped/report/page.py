@@ -1,24 +1,21 @@
 """One HTML file with words, tables and figures: opens anywhere, loads nothing, runs no script."""
 
 import base64
-import io
-import os
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 from matplotlib.figure import Figure
 
-from jaxbiped.report.figures import DPI
+from jaxbiped import files
+from jaxbiped.report.figures import png
+from jaxbiped.report.quantities import text as shown_text
 
 MOST_ROWS = 500
 """Rows of a table that are shown; a line says how many there are."""
-NOTHING = "–"
-"""Shown for a missing value."""
 
 
 @dataclass(frozen=True)
@@ -42,35 +39,32 @@ class Section:
     figures: Sequence[Picture] = ()
 
 
-def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> Path:
+def write_page(path: str | Path, title: str, sections: Sequence[Section], key: str = "") -> Path:
     """Write one self-contained HTML file and return its path; a file that is there already is replaced as a whole.
 
     Args:
         path: of the file; its folder must exist.
         title: heading of the page.
         sections: from top to bottom.
+        key: says what the page is of, to whom reads the file's head; not shown.
+
+    Raises:
+        OSError: with the name of the file, when it cannot be written.
     """
-    path = Path(path)
-    text = page(title, sections)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        unfinished.write_text(text, encoding="utf-8", newline="\n")
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return path
+    return files.write(path, page(title, sections, key))
 
 
-def page(title: str, sections: Sequence[Section]) -> str:
+def page(title: str, sections: Sequence[Section], key: str = "") -> str:
     """Text of a self-contained HTML file.
 
     Args:
         title: heading of the page.
         sections: from top to bottom.
+        key: says what the page is of, to whom reads the file's head; not shown.
     """
     body = [_section(i, section) for i, section in enumerate(sections, 1)]
     parts = [
-        _HEAD.format(title=escape(title), style=_STYLE),
+        _HEAD.format(key=escape(key), title=escape(title), style=_STYLE),
         _contents(sections),
         *body,
         "</main>",
@@ -84,6 +78,7 @@ _HEAD = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta name="key" content="{key}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
@@ -164,11 +159,7 @@ def _picture(picture: Picture) -> str:
 
 
 def _png(figure: Figure | Path) -> bytes:
-    if isinstance(figure, Path):
-        return figure.read_bytes()
-    file = io.BytesIO()
-    figure.savefig(file, dpi=DPI, format="png")
-    return file.getvalue()
+    return figure.read_bytes() if isinstance(figure, Path) else png(figure)
 
 
 def _text(text: str) -> str:
@@ -182,7 +173,10 @@ def _table(table: pl.DataFrame) -> str:
     )
     rows = [
         "<tr>"
-        + "".join(_cell("td", _shown(v), number) for v, number in zip(row, numeric, strict=True))
+        + "".join(
+            _cell("td", shown_text(value, name), number)
+            for value, name, number in zip(row, table.columns, numeric, strict=True)
+        )
         + "</tr>"
         for row in table.head(MOST_ROWS).iter_rows()
     ]
@@ -200,12 +194,3 @@ def _table(table: pl.DataFrame) -> str:
 def _cell(tag: str, text: str, number: bool, more: str = "") -> str:
     kind = ' class="number"' if number else ""
     return f"<{tag}{more}{kind}>{escape(text)}</{tag}>"
-
-
-def _shown(value: Any) -> str:
-    """A value as text: numbers to four digits."""
-    if value is None:
-        return NOTHING
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

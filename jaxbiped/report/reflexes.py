@@ -21,6 +21,7 @@ from jaxbiped.report.figures import (
     mark_events,
     panels_over_time,
 )
+from jaxbiped.report.quantities import rounded
 from jaxbiped.report.traces import Felt
 from jaxbiped.score import Recovery
 
@@ -84,7 +85,7 @@ def force_and_trigger(
     support = np.asarray(trace.targets.phase.support)
     panels, finish = panels_over_time(2, title, support, time, 6.8, share_time=False)
     low, high = felt.weight - threshold, felt.weight + threshold
-    band = f"weight ± {threshold:.3g} N"
+    band = f"weight ± {rounded(threshold, 1, strip=True)} N"
     for axes in panels:
         axes.fill_between(time, low, high, color=SUPPORT_FILL, lw=0, label=band, zorder=1)
         axes.plot(time, felt.force, color=FAINT, lw=0.6, label="sum of the vertical foot forces", zorder=1.2)
@@ -118,10 +119,12 @@ def settling_zmp(trace: Any, felt: Felt, params: PayloadReflex, recovery: Recove
     axes, balanced = panels[0], 1e3 * float(params.zmp_balanced)
     axes.plot(time[rows], 1e3 * felt.zmp[rows], color=FAINT, lw=0.7, label="ZMP")
     axes.plot(time[rows], 1e3 * felt.zmp_low_passed[rows], color=BLUE, label="low-passed")
-    axes.axhline(balanced, color=GREEN, lw=1.2, ls="-.", label=f"balanced, {balanced:.1f} mm")
+    axes.axhline(balanced, color=GREEN, lw=1.2, ls="-.", label=f"balanced, {rounded(balanced, 1)} mm")
     if recovery.settled is not None:
         read = 1e3 * float(np.interp(recovery.settled, time, felt.zmp_low_passed))
-        axes.plot(recovery.settled, read, "o", color=ORANGE, ms=6, label=f"read, {read:.1f} mm", zorder=4)
+        axes.plot(
+            recovery.settled, read, "o", color=ORANGE, ms=6, label=f"read, {rounded(read, 1)} mm", zorder=4
+        )
     axes.set_ylabel("ZMP forward of the pelvis [mm]")
     mark_events(panels, {LOAD: [], TRIGGER: [recovery.triggered]})
     return finish()

@@ -61,7 +61,7 @@ def tilt_and_forces(
 
 
 def measured_zmp(trace: Any, plan: Any, title: str) -> Figure:
-    """Draw the measured centre of pressure over the plan's ZMP and support, forward and lateral.
+    """Draw the measured center of pressure over the plan's ZMP and support, forward and lateral.
 
     Args:
         trace: `sim.Sample` with a leading axis.

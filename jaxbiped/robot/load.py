@@ -1,6 +1,5 @@
 """Robot files: TOML in, `RobotParams` out, or an error that says which number is wrong."""
 
-import tomllib
 from collections.abc import Callable
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -10,47 +9,58 @@ from typing import Any, TypeVar
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbiped import checked
+from jaxbiped.checked import Quantity
 from jaxbiped.robot import inertia as rigid
-from jaxbiped.robot.fields import Number, RobotFileError, Rule, read_number
+from jaxbiped.robot.fields import Number, RobotFileError, read_number
 from jaxbiped.robot.params import JOINT_NAMES, KNEE, LEG_LINK_NAMES, Links, RobotParams, Servo
 
-_POINT = Rule("m", ((3,),))
-_LENGTH = Rule("m", above=0.0)
 _JOINTS = ((len(JOINT_NAMES),),)
+_POINT = Quantity("m", -3.0, 3.0, shapes=((3,),))
+_LENGTH = Quantity("m", 0.02, 2.0)
+_EDGE = Quantity("m", -1.0, 1.0)
+_ANGLE = Quantity("rad", -2.0 * np.pi, 2.0 * np.pi, shapes=_JOINTS)
 LEAST_KNEE_RANGE = 0.1
 """Smallest upper knee limit with which a leg has any reach to speak of [rad]."""
+SMALLEST_SOLE = 0.01
+"""Smallest length and width of a sole [m]."""
+GYRATION = (1e-4, 3.0)
+"""Smallest and largest radius of gyration of a body, the root of its inertia over its mass [m]."""
+LONGEST_NAME = 100
+"""Characters in the name of a robot."""
 _MIRRORED_JOINTS = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
 """How a joint angle of the left leg reads on the mirrored right leg: yaw and the rolls change sign."""
 
-_SECTIONS: dict[str, dict[str, Rule]] = {
-    "overall": {"mass": Rule("kg", above=0.0), "height": _LENGTH},
+# Wide enough for humanoids from 0.3 m and 1 kg to 2.5 m and 300 kg, narrow enough to refuse another unit.
+_SECTIONS: dict[str, dict[str, Quantity]] = {
+    "overall": {"mass": Quantity("kg", 0.1, 500.0), "height": Quantity("m", 0.1, 4.0)},
     "geometry": {
         "hip_yaw_axis": _POINT,
         "hip_roll_axis": _POINT,
         "hip_pitch_axis": _POINT,
         "thigh_length": _LENGTH,
         "shank_length": _LENGTH,
-        "ankle_height": Rule("m", at_least=0.0),
-        "sole_toe": Rule("m"),
-        "sole_heel": Rule("m"),
-        "sole_outer": Rule("m"),
-        "sole_inner": Rule("m"),
+        "ankle_height": Quantity("m", 0.0, 0.5),
+        "sole_toe": _EDGE,
+        "sole_heel": _EDGE,
+        "sole_outer": _EDGE,
+        "sole_inner": _EDGE,
     },
     "servo": {
-        "kp": Rule("N m/rad", _JOINTS, above=0.0),
-        "kv": Rule("N m s/rad", _JOINTS, at_least=0.0),
-        "ki": Rule("N m/(rad s)", _JOINTS, at_least=0.0),
-        "armature": Rule("kg m2", _JOINTS, at_least=0.0),
-        "torque_limit": Rule("N m", _JOINTS, above=0.0),
-        "speed_limit": Rule("rad/s", _JOINTS, above=0.0),
+        "kp": Quantity("N m/rad", 1e-3, 1e7, shapes=_JOINTS),
+        "kv": Quantity("N m s/rad", 1e-5, 1e6, shapes=_JOINTS),
+        "ki": Quantity("N m/(rad s)", 0.0, 1e7, shapes=_JOINTS),
+        "armature": Quantity("kg m2", 1e-6, 100.0, shapes=_JOINTS),
+        "torque_limit": Quantity("N m", 1e-2, 1e5, shapes=_JOINTS),
+        "speed_limit": Quantity("rad/s", 0.1, 100.0, shapes=_JOINTS),
     },
-    "limits": {"lower": Rule("rad", _JOINTS), "upper": Rule("rad", _JOINTS)},
+    "limits": {"lower": _ANGLE, "upper": _ANGLE},
 }
 _BODY = {
-    "mass": Rule("kg", above=0.0),
+    "mass": Quantity("kg", 1e-3, 500.0),
     "com": _POINT,
-    "box": Rule("m", ((3,),), above=0.0),
-    "inertia": Rule("kg m2", ((3,), (6,))),
+    "box": Quantity("m", 1e-3, 3.0, shapes=((3,),)),
+    "inertia": Quantity("kg m2", -1e3, 1e3, shapes=((3,), (6,))),
 }
 
 Numbers = dict[str, Number]
@@ -84,9 +94,10 @@ def numbers(name_or_path: str | Path) -> list[Number]:
 def _build_from(name_or_path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
     """Read the file and build something of its checked numbers; every error names the file."""
     file = _file(name_or_path)
+    document = checked.read_toml(file, RobotFileError)
     try:
-        return build(_read_all(tomllib.loads(file.read_text(encoding="utf-8"))))
-    except (RobotFileError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return build(_read_all(document))
+    except RobotFileError as error:
         raise RobotFileError(f"{file.name}: {error}") from None
 
 
@@ -94,54 +105,72 @@ def _file(name_or_path: str | Path) -> Traversable:
     if str(name_or_path) in presets():
         return resources.files("jaxbiped.robot") / "presets" / f"{name_or_path}.toml"
     path = Path(name_or_path)
-    if path.suffix != ".toml" or not path.is_file():
+    try:
+        found = path.suffix == ".toml" and path.is_file()
+    except (OSError, ValueError):  # no name that a file can have
+        found = False
+    if not found:
         raise RobotFileError(
             f"robot: got {str(name_or_path)!r}, allowed: {', '.join(presets())} or the path of a .toml file"
+            f"{checked.nearest(str(name_or_path), presets())}"
         )
     return path
 
 
 def _read_all(document: dict[str, Any]) -> dict[str, Any]:
-    """Check the whole document; returns its numbers by dotted field name, and `name`."""
-    name = document.get("name")
-    if not isinstance(name, str) or not name:
-        raise RobotFileError(f"name: got {name!r}, wanted a text")
+    """Check the whole document; returns its numbers by dotted field name, `name` and `walks_like`."""
+    checked.refuse_unknown("", document, ("name", "walks_like", "trunk", "leg", *_SECTIONS), RobotFileError)
+    read: dict[str, Any] = {"name": _name(document)}
+    read["walks_like"] = _walks_like(document, read["name"])
     trunk = _table(document, "trunk")
     if not trunk:
         raise RobotFileError("trunk: needs at least one body, as a table [trunk.NAME]")
-    read: dict[str, Any] = {"name": name}
     for section, rules in _SECTIONS.items():
         read |= _read_section(section, _table(document, section), rules)
     for body in trunk:
         read |= _read_body(f"trunk.{body}", _table(trunk, body, "trunk."))
     leg = _table(document, "leg")
-    _refuse_unknown("leg", leg, LEG_LINK_NAMES)
+    checked.refuse_unknown("leg.", leg, LEG_LINK_NAMES, RobotFileError)
     for body in LEG_LINK_NAMES:
         read |= _read_body(f"leg.{body}", _table(leg, body, "leg."))
-    _refuse_unknown("", document, ("name", "trunk", "leg", *_SECTIONS))
     return read
+
+
+def _name(document: dict[str, Any]) -> str:
+    """Its name, which is written into titles, other files and models."""
+    name = document.get("name")
+    if not isinstance(name, str) or not name.strip():
+        raise RobotFileError(f"name: got {checked.shown(name)}, allowed: a text")
+    if len(name) > LONGEST_NAME or not name.isprintable() or set(name) & set("\"'\\"):
+        raise RobotFileError(
+            f"name: got {checked.shown(name)}, allowed: up to {LONGEST_NAME} printable characters without quotation "
+            "marks and backslashes"
+        )
+    return name
+
+
+def _walks_like(document: dict[str, Any], name: str) -> str:
+    """The preset whose gaits and simulation options fit; of a preset itself its own name."""
+    if "walks_like" not in document:
+        return name if name in presets() else ""
+    return checked.Word(presets()).check("walks_like", document["walks_like"], RobotFileError)
 
 
 def _table(parent: dict[str, Any], key: str, prefix: str = "") -> dict[str, Any]:
     if key not in parent:
-        raise RobotFileError(f"{prefix}{key}: missing, wanted a table [{prefix}{key}]")
+        raise RobotFileError(f"{prefix}{key}: missing, allowed: a table [{prefix}{key}]")
     if not isinstance(parent[key], dict):
-        raise RobotFileError(f"{prefix}{key}: got {parent[key]!r}, wanted a table [{prefix}{key}]")
+        raise RobotFileError(
+            f"{prefix}{key}: got {checked.shown(parent[key])}, allowed: a table [{prefix}{key}]"
+        )
     return parent[key]
 
 
-def _refuse_unknown(section: str, table: dict[str, Any], known: tuple[str, ...]) -> None:
-    for key in table:
-        if key not in known:
-            field = f"{section}.{key}" if section else key
-            raise RobotFileError(f"{field}: unknown field, allowed: {', '.join(known)}")
-
-
-def _read_section(section: str, table: dict[str, Any], rules: dict[str, Rule]) -> Numbers:
-    _refuse_unknown(section, table, tuple(rules))
+def _read_section(section: str, table: dict[str, Any], rules: dict[str, Quantity]) -> Numbers:
+    checked.refuse_unknown(f"{section}.", table, rules, RobotFileError)
     for key, rule in rules.items():
         if key not in table:
-            raise RobotFileError(f"{section}.{key}: missing, wanted {rule.allowed} [{rule.unit}]")
+            raise RobotFileError(f"{section}.{key}: missing, allowed: {rule.size}, {rule.allowed}")
     return {f"{section}.{key}": read_number(f"{section}.{key}", table[key], rules[key]) for key in rules}
 
 
@@ -150,14 +179,25 @@ def _read_body(field: str, table: dict[str, Any]) -> Numbers:
         raise RobotFileError(f"{field}: needs 'box' [m] or 'inertia' [kg m2], one of them")
     shape = "box" if "box" in table else "inertia"
     read = _read_section(field, table, {key: _BODY[key] for key in ("mass", "com", shape)})
-    matrix = _inertia(field, read)
-    if not rigid.is_physical(matrix):
-        moments = ", ".join(f"{m:.4g}" for m in np.linalg.eigvalsh(matrix))
-        raise RobotFileError(
-            f"{field}.{shape}: got principal moments {moments} kg m2, allowed: positive, each at most the sum of the "
-            "other two (triangle inequality)"
-        )
+    _require_inertia(f"{field}.{shape}", float(read[f"{field}.mass"].value), _inertia(field, read))
     return read
+
+
+def _require_inertia(field: str, mass: float, matrix: np.ndarray) -> None:
+    """Refuse what no body of this mass can have, as float32 too."""
+    moments = np.linalg.eigvalsh(matrix)
+    got = f"got principal moments {', '.join(f'{m:.4g}' for m in moments)} kg m2"
+    if not rigid.is_physical(matrix):
+        raise RobotFileError(
+            f"{field}: {got}, allowed: positive, each at most the sum of the other two (triangle inequality)"
+        )
+    low, high = (mass * radius**2 for radius in GYRATION)
+    if moments[2] > high or np.linalg.eigvalsh(matrix.astype(np.float32))[0] < low:
+        near, far = GYRATION
+        raise RobotFileError(
+            f"{field}: {got} with {mass:g} kg, allowed: {low:.3g} to {high:.3g} kg m2 (the mass times the squares of "
+            f"{near:g} and {far:g} m)"
+        )
 
 
 def _inertia(field: str, read: dict[str, Any]) -> np.ndarray:
@@ -188,6 +228,7 @@ def _build(read: dict[str, Any]) -> RobotParams:
         ),
         joint_range=_array(_joint_range(value)),
         height=_array(value["overall.height"]),
+        walks_like=read["walks_like"],
     )
 
 
@@ -217,9 +258,10 @@ def _hip_centre(value: dict[str, np.ndarray]) -> np.ndarray:
 def _sole_corners(value: dict[str, np.ndarray]) -> np.ndarray:
     toe, heel, outer, inner = (value[f"geometry.sole_{edge}"] for edge in ("toe", "heel", "outer", "inner"))
     for high, low, names in ((toe, heel, "toe and heel"), (outer, inner, "outer and inner")):
-        if high <= low:
+        if high - low < SMALLEST_SOLE * (1.0 - 1e-9):
             raise RobotFileError(
-                f"geometry.sole_*: got {names} at {high:g} and {low:g} m, allowed: the first larger"
+                f"geometry.sole_*: got {names} at {high:g} and {low:g} m, allowed: the first larger by at least "
+                f"{SMALLEST_SOLE:g} m"
             )
     left = np.array([[toe, outer, 0], [toe, inner, 0], [heel, outer, 0], [heel, inner, 0]])
     right = rigid.mirror_vector(left)[[1, 0, 3, 2]]
@@ -229,7 +271,7 @@ def _sole_corners(value: dict[str, np.ndarray]) -> np.ndarray:
 def _joint_range(value: dict[str, np.ndarray]) -> np.ndarray:
     lower, upper = value["limits.lower"], value["limits.upper"]
     for joint, low, high in zip(JOINT_NAMES, lower, upper, strict=True):
-        if low >= high:
+        if np.float32(low) >= np.float32(high):
             raise RobotFileError(f"limits: got {joint} from {low:g} to {high:g} rad, allowed: lower < upper")
     if not LEAST_KNEE_RANGE <= upper[KNEE] <= np.pi:
         raise RobotFileError(

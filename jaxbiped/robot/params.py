@@ -74,6 +74,13 @@ class RobotParams(eqx.Module):
     """Smallest and largest joint angle [rad]."""
     height: Float[Array, "*batch"]
     """Standing height, top of the head over the sole [m]; drawn, never used in the dynamics."""
+    walks_like: str = eqx.field(static=True, default="")
+    """Name of the preset whose gaits and simulation options fit this robot; empty if none is known to."""
+
+    @property
+    def preset_name(self) -> str:
+        """Name under which presets of gaits and options are looked up: `walks_like`, or the robot's own name."""
+        return self.walks_like or self.name
 
     @property
     def total_mass(self) -> Any:

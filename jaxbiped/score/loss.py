@@ -6,6 +6,7 @@ only the lean goes on, at its greatest, so that a later fall costs less; the res
 bounded: derivatives of walks that fall grow beyond any use, and would drown those of all others in a mean.
 """
 
+import math
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
@@ -92,7 +93,7 @@ def bounded(cost: Scalar, bound: float) -> Scalar:
     return cost / (1.0 + cost / bound)
 
 
-_TILT, _LEAN = jnp.deg2rad(2.0), jnp.deg2rad(10.0)
+_TILT, _LEAN = math.radians(2.0), math.radians(10.0)
 _TOUCH = 0.01
 """[s]"""
 _MARGIN = 0.02

@@ -5,7 +5,7 @@ elkahlout (section 4.2): the robot does not fall in the step in which it is load
 its recovery; if no reflex came, two whole steps after the step of the loading.
 
 A step is a single support and the double support after it. Rules are met in the time of the plan, which stands still
-while a reflex lasts: a robot that falls later than that has succeeded all the same.
+while a reflex lasts: a robot that falls later than that has succeeded all the same, and its status says that it fell.
 """
 
 from typing import Any
@@ -41,8 +41,8 @@ class Verdict(eqx.Module):
     finished: Bool[Array, ""]
     """Whether it met khadiv's rule."""
     status: Int[Array, ""]
-    """Number in STATUS_TEXT: `ok` for a success, else what prevented it; `unfinished` if simulated time or plan ended
-    first."""
+    """Number in STATUS_TEXT, what the robot did over the whole walk: fell, nonfinite or airborne, at any time, even
+    after a success; else `ok`, or `unfinished` if simulated time or plan ended before the rule was met."""
     until: Scalar
     """How long it had to stand [s]; infinite if it did not get as far as to walk on."""
     tilt_margin: Scalar
@@ -85,7 +85,7 @@ def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
     can = walking & (~has_load | (last <= gait.timing.n_steps))
     success = can & (plan_time >= goal - _SLACK)
     failed = stats.status != statistics.OK
-    status = jnp.where(success, statistics.OK, jnp.where(failed, stats.status, UNFINISHED))
+    status = jnp.where(failed, stats.status, jnp.where(success, statistics.OK, UNFINISHED))
     missed = (
         0 if walk.controller is None or walk.controller.landing is None else walk.controller.landing.missed
     )

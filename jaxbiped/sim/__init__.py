@@ -1,7 +1,6 @@
 """Simulator: the only room that imports MuJoCo."""
 
-from jaxbiped.sim.compiling import jit_walks
-from jaxbiped.sim.model import build_model, build_spec, write_mjcf
+from jaxbiped.sim.model import build_model, build_spec, mjcf, write_mjcf
 from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.rollout import Options, Sample, Walk, rollout, simulate
 from jaxbiped.sim.scenario import Scenario
@@ -16,7 +15,7 @@ __all__ = [
     "Walk",
     "build_model",
     "build_spec",
-    "jit_walks",
+    "mjcf",
     "open_loop_references",
     "replay_c",
     "rollout",

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxbiped import runtime
 from jaxbiped.planner.feasibility import instant
 from jaxbiped.robot import RobotParams
 
@@ -38,7 +39,7 @@ def none() -> FeedForward:
     return FeedForward(jnp.zeros((2, 2, 6)), 1.0)
 
 
-@eqx.filter_jit
+@runtime.jit
 def plan(robot: RobotParams, gait: Any, duration: float, interval: float = 0.005) -> FeedForward:
     """Tabulate the plan's joint torques; the feet share the ground wrench by the ZMP."""
     rows = _TOGETHER * (

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from jaxbiped import files
 from jaxbiped.kinematics import GRAVITY
 from jaxbiped.robot import JOINT_AXES, JOINT_NAMES, LEG_LINK_NAMES, SIDE_NAMES, RobotParams
 
@@ -62,12 +63,16 @@ def build_model(robot: RobotParams, timestep: float = 5e-4) -> mujoco.MjModel:
 
 def write_mjcf(robot: RobotParams, path: str | Path) -> Path:
     """Write the robot as an MJCF file that stock MuJoCo loads."""
-    spec = build_spec(robot)
-    spec.compile()
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(spec.to_xml())
-    return path
+    return files.write(path, mjcf(robot))
+
+
+def mjcf(robot: RobotParams) -> str:
+    """Text of that file."""
+    spec = build_spec(robot)
+    spec.compile()
+    return spec.to_xml()
 
 
 def standing_height(robot: RobotParams) -> float:

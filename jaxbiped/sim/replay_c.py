@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxbiped import runtime
 from jaxbiped.adapt import Controller, Sensed
 from jaxbiped.kinematics import GRAVITY
 from jaxbiped.planner import Targets, at, support
@@ -27,6 +28,8 @@ from jaxbiped.sim.scenario import Payload, Scenario, SensorFaults, Terrain
 from jaxbiped.sim.sensors import BOUNCE_PERIOD, Delay
 from jaxbiped.sim.servo import Reference
 from jaxbiped.sim.statistics import (
+    AIRBORNE,
+    AIRBORNE_TIME,
     FALL_HEIGHT,
     FALL_TILT,
     FELL,
@@ -34,6 +37,7 @@ from jaxbiped.sim.statistics import (
     NONFINITE,
     OK,
     TOUCHDOWN,
+    TOUCHING,
     Statistics,
     reach_margin,
 )
@@ -104,12 +108,12 @@ def replay_c(
         pilot = _ClosedLoop(robot, controller, scenario.sensors, table, options, first)
     else:
         pilot = _OpenLoop(references, ticks)
-    log = _Log(ticks, options.control_every)
+    log = _Log(ticks, options.control_every, options.dt)
     _walk(world, pilot, log, ticks)
     return _result(world, pilot, log)
 
 
-@eqx.filter_jit
+@runtime.jit
 def open_loop_references(
     robot: RobotParams, controller: Controller, duration: float, options: Options
 ) -> References:
@@ -131,7 +135,7 @@ def _references(robot: RobotParams, targets: Targets, table: FeedForward) -> Ref
     return References(reference.angle, reference.speed, reference.feed_forward, status, targets)
 
 
-@eqx.filter_jit
+@runtime.jit
 def _start(
     robot: RobotParams,
     model: Any,
@@ -348,9 +352,9 @@ class _World:
 class _Log:
     """What every physics tick saw at its start (n rows), and the state every control tick ended in (c rows)."""
 
-    def __init__(self, ticks: int, every: int):
+    def __init__(self, ticks: int, every: int, dt: float):
         n, c = ticks * every, ticks
-        self.every, self.done = every, 0
+        self.every, self.dt, self.done = every, dt, 0
         self.xpos, self.xmat = np.zeros((n, 14, 3)), np.zeros((n, 14, 3, 3))
         self.site, self.force = np.zeros((n, 10, 3)), np.zeros((n, 8, 3))
         self.torque, self.qpos, self.qvel = np.zeros((c, 12)), np.zeros((c, 19)), np.zeros((c, 18))
@@ -489,7 +493,7 @@ _Pilot = _OpenLoop | _ClosedLoop
 """Where the references come from: `row` before a control tick, `sense` after it, `asked` at the end."""
 
 
-@eqx.filter_jit
+@runtime.jit
 def _control(
     robot: RobotParams,
     controller: Controller,
@@ -549,7 +553,16 @@ def _status(log: _Log, rows: slice) -> np.ndarray:
         tilt = np.abs(_roll_pitch_yaw(log.xmat[rows, TRUNK])[:, :2]).max(axis=1)
         fell = (tilt > float(FALL_TILT)) | (height < FALL_HEIGHT * _pelvis_height(log.xpos[:1]))
     finite = np.isfinite(log.xpos[rows, TRUNK]).all(axis=1) & np.isfinite(log.force[rows]).all(axis=(1, 2))
-    return np.where(~finite, NONFINITE, np.where(fell, FELL, OK))
+    airborne = _since_support(log, rows.stop)[rows] * log.dt > AIRBORNE_TIME + 1e-9
+    return np.where(~finite, NONFINITE, np.where(fell, FELL, np.where(airborne, AIRBORNE, OK)))
+
+
+def _since_support(log: _Log, n: int) -> np.ndarray:
+    """Ticks since there was any ground force, after each of the first n ticks."""
+    with np.errstate(invalid="ignore"):
+        supported = log.force[:n, :, 2].sum(axis=1) > TOUCHING
+    ticks = np.arange(1, n + 1)
+    return ticks - np.maximum.accumulate(np.where(supported, ticks, 0))
 
 
 def _pelvis_height(xpos: np.ndarray) -> np.ndarray:
@@ -593,6 +606,7 @@ def _statistics(log: _Log, n: int, status: int, options: Options) -> dict[str, n
         "peak_slip": np.nanmax(slip, axis=0),
         "peak_touchdown_force": touchdown.max(axis=0),
         "peak_touchdown_impulse": impulse.max(axis=0),
+        "support_time": np.array((n - _since_support(log, n)[-1]) * options.dt),
         "touch_time": np.where(since[-1] > 0, (since[-1] + 1) * options.dt, -1.0),
         "touch_impulse": impulse[-1],
         "anchor": anchor[-1],

@@ -13,7 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbiped import checked, runtime
 from jaxbiped.adapt import Controller, ControllerState, Sensed
+from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at
 from jaxbiped.robot import RobotParams
@@ -27,18 +29,20 @@ from jaxbiped.sim import (
     sensors,
     statistics,
 )
-from jaxbiped.sim.compiling import jit_walks
 from jaxbiped.sim.feed_forward import FeedForward
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.plant import PAYLOAD_MODELS, Plant
-from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.scenario import Scenario, require_clear_start
 from jaxbiped.sim.sensors import Delay, SwitchState
 from jaxbiped.sim.servo import Reference
 from jaxbiped.sim.statistics import Statistics
 
+DURATION = Quantity("s", 0.0, 3600.0, above=True)
+"""Of a walk."""
 COMPLIANT, MJX = "compliant", "mjx"
 CONTACTS = (COMPLIANT, MJX)
+MAX_TICKS = 1_000_000
 
 
 class Options(eqx.Module):
@@ -63,11 +67,11 @@ class Options(eqx.Module):
 
     def __check_init__(self) -> None:
         """Refuse what cannot be simulated."""
-        if not 0.0 < self.dt <= 0.01:
-            raise ValueError(f"dt: got {self.dt:g} s, allowed: > 0 and <= 0.01 s")
+        object.__setattr__(self, "dt", Quantity("s", 1e-5, 0.01).check("dt", self.dt))
         for name, least in (("control_every", 1), ("delay_room", 0), ("trace_every", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}: got {getattr(self, name)} ticks, allowed: >= {least}")
+            object.__setattr__(self, name, checked.whole(name, getattr(self, name), least, MAX_TICKS))
+        for name in ("feed_forward", "noise"):
+            object.__setattr__(self, name, checked.Flag().check(name, getattr(self, name)))
         if self.payload_model not in PAYLOAD_MODELS:
             raise ValueError(
                 f"payload_model: got {self.payload_model!r}, allowed: {', '.join(PAYLOAD_MODELS)}"
@@ -155,9 +159,9 @@ def rollout(
     options: Options | None = None,
 ) -> Walk:
     """Walk one robot in one scenario for `duration` [s]; compiled once per shapes and options."""
-    if not duration > 0.0:
-        raise ValueError(f"duration: got {duration:g} s, allowed: > 0 s")
+    duration = DURATION.check("duration", duration)
     options = options or Options()
+    require_clear_start(robot, controller.gait, scenario.terrain)
     model = base_model(robot, scenario, options)
     return _compiled(robot, model, controller, scenario, float(duration), options)
 
@@ -170,7 +174,7 @@ def base_model(robot: RobotParams, scenario: Scenario, options: Options) -> Any:
     return mjx_contacts.base_model(robot, scenario.terrain.height.shape[-1], options.dt)
 
 
-@jit_walks
+@runtime.jit
 def _compiled(
     robot: RobotParams,
     model: Any,

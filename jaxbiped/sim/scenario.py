@@ -1,6 +1,7 @@
 """A scenario: everything about one walk that the robot does not know. A batch of them has a leading axis."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, SupportsIndex
 
 import equinox as eqx
 import jax
@@ -8,13 +9,52 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxbiped.planner import Gait, at
-from jaxbiped.robot import RobotParams
+from jaxbiped import checked, runtime
+from jaxbiped.checked import Quantity, Refusal
+from jaxbiped.planner import Gait, at, is_concrete
+from jaxbiped.robot import SIDE_NAMES, RobotParams
 
 Scalar = Float[Array, "*batch"]
 
 PAD_BEHIND, PAD_AROUND = 0.115, 0.02
 """How far a pad under a foothold reaches behind the heel, and beyond the other edges of the sole [m]."""
+
+MOST_RECTANGLES = 1000
+NEVER = 1e6
+"""A time after every walk [s]."""
+_PLACE = Quantity("m", -1000.0, 1000.0, shapes=((2,),))
+_TIME = Quantity("s", 0.0, NEVER)
+_FORCE = Quantity("N", -5000.0, 5000.0)
+RANGES: dict[str, Quantity] = {
+    "load_kg": Quantity("kg", 0.0, 200.0),
+    "load_time_s": _TIME,
+    "load_x_m": Quantity("m", -1.0, 1.0),
+    "load_y_m": Quantity("m", -1.0, 1.0),
+    "load_z_m": Quantity("m", -1.0, 2.0),
+    "load_size_m": Quantity("m", 0.01, 1.0),
+    "friction": Quantity("", 0.01, 5.0),
+    "sinkage_m": Quantity("m", 5e-5, 5e-3),
+    "damping_s_per_m": Quantity("s/m", 0.0, 50.0),
+    "slip_speed_m_per_s": Quantity("m/s", 1e-3, 0.1),
+    "trunk_mass_scale": Quantity("", 0.5, 2.0),
+    "leg_mass_scale": Quantity("", 0.5, 2.0),
+    "com_x_m": Quantity("m", -0.1, 0.1),
+    "com_y_m": Quantity("m", -0.1, 0.1),
+    "com_z_m": Quantity("m", -0.3, 0.3),
+    "gain_scale": Quantity("", 0.1, 5.0),
+    "delta_z_m": Quantity("m", 0.0, 0.05),
+    "bounce_s": Quantity("s", 0.0, 0.1),
+    "delay_s": Quantity("s", 0.0, 0.05),
+    "force_noise_N": Quantity("N", 0.0, 200.0),
+    "angle_noise_rad": Quantity("rad", 0.0, 0.1),
+    "push_x_N": _FORCE,
+    "push_y_N": _FORCE,
+    "push_z_N": _FORCE,
+    "push_time_s": _TIME,
+    "push_length_s": Quantity("s", 0.0, 10.0),
+    "height_m": Quantity("m", -0.2, 0.2),
+}
+"""What the numbers of a scenario may be, by the names of the columns of a scenario table."""
 
 
 def _array(value: Any) -> Any:
@@ -116,12 +156,17 @@ class Scenario(eqx.Module):
     """How its sensors are set and fail."""
 
     @classmethod
-    def flat(cls, rectangles: int = 8) -> "Scenario":
-        """Level ground, nothing happens; with room for so many rectangles."""
+    def flat(cls, rectangles: SupportsIndex = 8) -> "Scenario":
+        """Level ground, nothing happens; with room for so many rectangles.
+
+        Raises:
+            ValueError: if that is no whole number from 0 to MOST_RECTANGLES.
+        """
+        n = checked.whole("rectangles", rectangles, 0, MOST_RECTANGLES)
         return cls(
-            terrain=Terrain(jnp.zeros((rectangles, 2)), jnp.zeros((rectangles, 2)), jnp.zeros(rectangles)),
-            payload=Payload(mass=0.0, time=1e6, place=(0.2, 0.0, 0.25), size=0.2),
-            push=Push(force=(0.0, 0.0, 0.0), start=1e6, length=0.0),
+            terrain=Terrain(jnp.zeros((n, 2)), jnp.zeros((n, 2)), jnp.zeros(n)),
+            payload=Payload(mass=0.0, time=NEVER, place=(0.2, 0.0, 0.25), size=0.2),
+            push=Push(force=(0.0, 0.0, 0.0), start=NEVER, length=0.0),
             ground=Ground(sinkage=3e-4, damping=10.0, friction=0.8, slip_speed=0.01),
             errors=ModelErrors(jnp.ones(13), jnp.zeros(3), jnp.ones((2, 6))),
             sensors=SensorFaults(
@@ -135,23 +180,29 @@ class Scenario(eqx.Module):
             ),
         )
 
-    def with_rectangle(
-        self, lower: tuple[float, float], upper: tuple[float, float], height: float
-    ) -> "Scenario":
-        """Add a level rectangle from `lower` to `upper` (x, y) [m], raised or sunk by `height` [m].
+    def with_rectangle(self, lower: Any, upper: Any, height: Any) -> "Scenario":
+        """Add a level rectangle.
+
+        Args:
+            lower: smallest x and y [m].
+            upper: largest x and y [m].
+            height: over the ground, negative for a hole [m].
 
         Raises:
-            ValueError: if the corners are not in order, or there is no room for another one.
+            ValueError: if the corners are not in order, a number is out of range, or there is no room for another one.
         """
-        if not (lower[0] < upper[0] and lower[1] < upper[1]):
-            raise ValueError(
-                f"rectangle: got lower {lower} and upper {upper} m, allowed: lower < upper in x and y"
+        lower, upper = _PLACE.check("lower", lower), _PLACE.check("upper", upper)
+        height = RANGES["height_m"].check("height", height)
+        if is_concrete(lower, upper) and not (lower[0] < upper[0] and lower[1] < upper[1]):
+            raise Refusal(
+                f"rectangle: got lower {checked.shown(lower)} and upper {checked.shown(upper)} m, allowed: lower < "
+                "upper in x and y"
             )
         terrain = self.terrain
-        free = np.flatnonzero(np.asarray(terrain.upper[:, 0] <= terrain.lower[:, 0]))
+        free = np.flatnonzero(np.asarray(terrain.upper)[:, 0] <= np.asarray(terrain.lower)[:, 0])
         if free.size == 0:
             room = terrain.height.shape[0]
-            raise ValueError(
+            raise Refusal(
                 f"rectangle: got one more than {room}, allowed: {room}; start from flat(rectangles=...)"
             )
         i = int(free[0])
@@ -162,52 +213,142 @@ class Scenario(eqx.Module):
         )
         return eqx.tree_at(lambda s: s.terrain, self, new)
 
-    def with_obstacle(self, robot: RobotParams, gait: Gait, step: int, height: float) -> "Scenario":
+    def with_obstacle(self, robot: RobotParams, gait: Gait, step: SupportsIndex, height: Any) -> "Scenario":
         """Put a pad under the foothold of step number `step` (0 is the first), in that foot's lane only.
 
         The pad reaches PAD_BEHIND behind the heel, since a foot that touches early lands short, and PAD_AROUND beyond
         the other edges. A negative height [m] makes a hole.
 
         Raises:
-            ValueError: if the gait has no such step, or there is no room for another rectangle.
+            ValueError: if the gait has no such step, the swing foot does not clear the height, or there is no room for
+                another rectangle.
         """
         lower, upper = pad_under(robot, gait, step)
-        return self.with_rectangle(tuple(lower.tolist()), tuple(upper.tolist()), height)
+        RANGES["height_m"].check("height", height)
+        require_swing_clears(gait, {step: height})
+        return self.with_rectangle(lower, upper, height)
 
-    def with_payload(self, mass: float, time: float) -> "Scenario":
-        """Attach a load [kg] to the front of the trunk at a time [s] since the start of the walk."""
-        if not mass >= 0.0:
-            raise ValueError(f"payload mass: got {mass:g} kg, allowed: >= 0 kg")
+    def with_payload(self, mass: Any, time: Any) -> "Scenario":
+        """Attach a load [kg] to the front of the trunk at a time [s] since the start of the walk.
+
+        Raises:
+            ValueError: if a number is out of range.
+        """
+        mass = RANGES["load_kg"].check("payload mass", mass)
+        time = RANGES["load_time_s"].check("payload time", time)
         return eqx.tree_at(lambda s: (s.payload.mass, s.payload.time), self, (_array(mass), _array(time)))
 
-    def with_push(self, force: tuple[float, float, float], start: float, length: float) -> "Scenario":
-        """Push the trunk with a force [N] from `start` for `length` [s]."""
-        if not length >= 0.0:
-            raise ValueError(f"push length: got {length:g} s, allowed: >= 0 s")
+    def with_push(self, force: Any, start: Any, length: Any) -> "Scenario":
+        """Push the trunk with a force (3,) [N] from `start` for `length` [s].
+
+        Raises:
+            ValueError: if a number is out of range.
+        """
+        force = Quantity("N", _FORCE.low, _FORCE.high, shapes=((3,),)).check("push force", force)
+        start = RANGES["push_time_s"].check("push start", start)
+        length = RANGES["push_length_s"].check("push length", length)
         return eqx.tree_at(lambda s: s.push, self, Push(force=force, start=start, length=length))
 
-    def with_friction(self, friction: float) -> "Scenario":
-        """Another friction coefficient."""
-        if not friction > 0.0:
-            raise ValueError(f"friction: got {friction:g}, allowed: > 0")
+    def with_friction(self, friction: Any) -> "Scenario":
+        """Change the friction coefficient.
+
+        Raises:
+            ValueError: if it is out of range.
+        """
+        friction = RANGES["friction"].check("friction", friction)
         return eqx.tree_at(lambda s: s.ground.friction, self, _array(friction))
 
 
-def pad_under(robot: RobotParams, gait: Gait, step: int) -> tuple[np.ndarray, np.ndarray]:
+def pad_under(robot: RobotParams, gait: Gait, step: SupportsIndex) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest corner (x, y) [m] of the pad that `Scenario.with_obstacle` puts under a foothold.
 
     Raises:
         ValueError: if the gait has no such step.
     """
-    if not 0 <= step < gait.timing.n_steps:
-        raise ValueError(f"step: got {step}, allowed: 0 to {gait.timing.n_steps - 1}")
-    foot, sole = jax.tree.map(np.asarray, _foothold(gait, jnp.asarray(step)))
-    corners = sole[int(foot), :2] + np.asarray(robot.p_sole_corner[int(foot), :, :2])
+    foot, sole, _ = _swing(gait, step)
+    corners = sole[foot, :2] + np.asarray(robot.p_sole_corner)[foot, :, :2]
     return corners.min(axis=0) - [PAD_BEHIND, PAD_AROUND], corners.max(axis=0) + PAD_AROUND
 
 
-@eqx.filter_jit
-def _foothold(gait: Any, step: Int[Array, ""]) -> tuple[Int[Array, ""], Float[Array, "2 3"]]:
-    """The foot that lands in a step, and both soles then."""
-    landed = at(gait, gait.timing.touchdown(step))
-    return landed.phase.swing, landed.position.sole
+def require_swing_clears(gait: Gait, heights: Mapping[Any, Any]) -> None:
+    """Refuse an obstacle under a foothold that is as high as the swing foot goes, or higher.
+
+    Args:
+        gait: the plan.
+        heights: of the obstacle under the foothold of each of these steps [m]; what is traced is not judged.
+
+    Raises:
+        ValueError: naming the step, the height and what is allowed.
+    """
+    if not is_concrete(gait):
+        return
+    for step, height in heights.items():
+        if not is_concrete(height):
+            continue
+        apex, height = _swing(gait, step)[2], RANGES["height_m"].check(f"step {step}, height", height)
+        if height >= apex - 1e-6:
+            raise Refusal(
+                f"step {step}: got an obstacle of {height:g} m, allowed: below {apex:.3g} m, the height the swing foot "
+                "goes to"
+            )
+
+
+def require_clear_start(robot: RobotParams, gait: Gait, terrain: Terrain) -> None:
+    """Refuse terrain in which a sole of the starting stance overlaps an obstacle or a hole, or touches its edge.
+
+    Args:
+        robot: whose soles they are.
+        gait: whose stance at its start it is.
+        terrain: of one scenario, or of a batch of them; what is traced is not judged.
+
+    Raises:
+        ValueError: naming the foot, the rectangle and what is allowed.
+    """
+    from jaxbiped.sim.ground import (
+        EDGE_WIDTH,
+    )  # ground needs the terrain's record, so it is to the right of this
+
+    if not is_concrete(robot, gait, terrain):
+        return
+    with jax.ensure_compile_time_eval():
+        start = np.asarray(_start(gait))
+    sole = start[:, None, :2] + np.asarray(robot.p_sole_corner)[..., :2]
+    low, high = sole.min(axis=1) - 0.5 * EDGE_WIDTH, sole.max(axis=1) + 0.5 * EDGE_WIDTH
+    lower, upper, height = (np.asarray(leaf) for leaf in (terrain.lower, terrain.upper, terrain.height))
+    there = (height != 0.0) & np.all(lower < upper, axis=-1)
+    for foot, side in enumerate(SIDE_NAMES):
+        over = there & np.all((lower < high[foot]) & (upper > low[foot]), axis=-1)
+        if over.any():
+            place = tuple(np.argwhere(over)[0])
+            (x0, y0), (x1, y1) = lower[place], upper[place]
+            where = f"scenario {', '.join(map(str, place[:-1]))}: " if place[:-1] else ""
+            what = "an obstacle" if height[place] > 0.0 else "a hole"
+            raise Refusal(
+                f"{where}start: got {what} of {height[place]:g} m from ({x0:.3f}, {y0:.3f}) to ({x1:.3f}, {y1:.3f}) m "
+                f"under the {side} foot, which starts from ({low[foot, 0]:.3f}, {low[foot, 1]:.3f}) to "
+                f"({high[foot, 0]:.3f}, {high[foot, 1]:.3f}) m, allowed: level ground there"
+            )
+
+
+def _swing(gait: Gait, step: Any) -> tuple[int, np.ndarray, float]:
+    """The foot that lands in a step, both soles then (2, 3) [m], and how high the foot goes before it [m]."""
+    number = checked.whole("step", step, 0, gait.timing.n_steps - 1)
+    with jax.ensure_compile_time_eval():
+        foot, sole, apex = jax.tree.map(np.asarray, _foothold(gait, jnp.asarray(number)))
+    return int(foot), sole, float(apex)
+
+
+@runtime.jit
+def _start(gait: Any) -> Float[Array, "2 3"]:
+    """Both soles at the start of a walk."""
+    return gait.task(jnp.zeros((), jnp.result_type(float))).sole
+
+
+@runtime.jit
+def _foothold(
+    gait: Any, step: Int[Array, ""]
+) -> tuple[Int[Array, ""], Float[Array, "2 3"], Float[Array, ""]]:
+    """The foot that lands in a step, both soles then, and the height of the swing foot in the middle of the step."""
+    timing = gait.timing
+    landed, middle = at(gait, timing.touchdown(step)), gait.task(timing.liftoff(step) + 0.5 * timing.T_s)
+    return landed.phase.swing, landed.position.sole, middle.sole[:, 2].max()

@@ -1,5 +1,7 @@
 """Running statistics and status of a roll-out, so that no trajectory need be stored."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -11,12 +13,17 @@ from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.sensors import roll_pitch_yaw
 
-OK, FELL, NONFINITE = 0, 1, 2
-STATUS_TEXT = ("ok", "fell", "nonfinite")
-FALL_TILT = jnp.deg2rad(45.0)
+OK, FELL, NONFINITE, AIRBORNE = 0, 1, 2, 3
+STATUS_TEXT = ("ok", "fell", "nonfinite", "airborne")
+"""What the robot did over the whole of a walk."""
+FALL_TILT = math.radians(45.0)
 """Trunk tilt at which a robot counts as fallen [rad]."""
 FALL_HEIGHT = 0.6
 """Height of the pelvis over the lower foot, as a share of that at the start, below which it counts as fallen."""
+AIRBORNE_TIME = 0.5
+"""For how long a robot may be without any ground force before it counts as carried off [s]: gaits have no flight."""
+TOUCHING = 1.0
+"""Vertical force of both feet together below which there is no ground force [N]."""
 LOADED = 50.0
 """Vertical force over which a foot counts as loaded [N]."""
 TOUCHDOWN = 0.1
@@ -27,7 +34,7 @@ class Statistics(eqx.Module):
     """What is kept of a roll-out."""
 
     status: Int[Array, ""]
-    """OK, FELL or NONFINITE; the first failure stays."""
+    """OK, FELL, NONFINITE or AIRBORNE; the first failure stays."""
     end_time: Float[Array, ""]
     """Time of the first failure, or the time reached [s]."""
     peak_roll_pitch: Float[Array, "2"]
@@ -45,6 +52,8 @@ class Statistics(eqx.Module):
     0 on an edge; at control ticks."""
     reach_margin: Float[Array, ""]
     """By how much the most stretched leg asked for stayed below the longest one, negative beyond it [m]."""
+    support_time: Float[Array, ""]
+    """When there was any ground force last [s]."""
     touch_time: Float[Array, "2"]
     """When each foot was loaded last [s]; -1 at the start."""
     touch_impulse: Float[Array, "2"]
@@ -74,6 +83,7 @@ def init(body: BodyMotion) -> Statistics:
         peak_touchdown_impulse=jnp.zeros(2, zero.dtype),
         zmp_margin=zero + jnp.inf,
         reach_margin=zero + jnp.inf,
+        support_time=zero,
         touch_time=jnp.full(2, -1.0, zero.dtype),
         touch_impulse=jnp.zeros(2, zero.dtype),
         anchor=body.p_world_foot[:, :2],
@@ -100,9 +110,12 @@ def update(
     tilt = jnp.abs(roll_pitch_yaw(body.rot_world_trunk)[:2])
     low = body.p_world_trunk[2] - body.p_world_foot[:, 2].min() < FALL_HEIGHT * stats.pelvis_height
     fell = (jnp.max(tilt) > FALL_TILT) | low
+    support_time = jnp.where(vertical.sum() > TOUCHING, time, stats.support_time)
+    airborne = time - support_time > AIRBORNE_TIME
     finite = jnp.all(jnp.isfinite(body.p_world_trunk)) & jnp.all(jnp.isfinite(vertical))
+    fine = jnp.where(airborne, AIRBORNE, OK)
     return Statistics(
-        status=jnp.where(~finite, NONFINITE, jnp.where(fell, FELL, OK)).astype(jnp.int32),
+        status=jnp.where(~finite, NONFINITE, jnp.where(fell, FELL, fine)).astype(jnp.int32),
         end_time=time,
         peak_roll_pitch=jnp.maximum(stats.peak_roll_pitch, tilt),
         peak_foot_force=jnp.maximum(stats.peak_foot_force, vertical),
@@ -111,6 +124,7 @@ def update(
         peak_touchdown_impulse=jnp.maximum(stats.peak_touchdown_impulse, impulse),
         zmp_margin=stats.zmp_margin,
         reach_margin=stats.reach_margin,
+        support_time=support_time,
         touch_time=touch_time,
         touch_impulse=impulse,
         anchor=anchor,

@@ -7,7 +7,6 @@ held-out scenarios say whether it was worth it. All that is known stands in one 
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbiped import batch
+from jaxbiped import batch, files
 from jaxbiped.tune import gradient, trust
 from jaxbiped.tune.gradient import Problem
 
@@ -100,6 +99,7 @@ def tune(
     out: Path,
     settings: Settings | None = None,
     tell: Callable[[str], None] = lambda line: None,
+    overwrite: bool = False,
 ) -> Tuned:
     """Tune an arm; goes on where it was stopped.
 
@@ -109,13 +109,14 @@ def tune(
         out: folder of the state.
         settings: how.
         tell: is given a line of progress after every step.
+        overwrite: drop the state of another descent in the folder; that of this one is gone on with.
 
     Raises:
         ValueError: if the folder holds the state of another descent.
     """
     settings = settings or Settings()
     judge = Problem(held_out, problem.tunables, problem.loss, problem.arm)
-    state = _load(out, problem, judge, settings)
+    state = _load(out, problem, judge, settings, overwrite)
     while not state.finished:
         _advance(state, problem, judge, settings, tell)
         _save(out, state, problem, judge, settings)
@@ -242,15 +243,37 @@ def _name(loss: Any) -> str:
     return f"{type(loss).__module__}.{type(loss).__qualname__} {shown}"
 
 
-def _load(out: Path, problem: Problem, judge: Problem, settings: Settings) -> Descent:
-    path = out / STATE
-    if not path.exists():
+def require_same(out: Path, problem: Problem, held_out: batch.Experiment, settings: Settings) -> None:
+    """Refuse a folder with the state of another descent, or one that cannot be read; nothing is changed.
+
+    Raises:
+        ValueError: naming the folder.
+    """
+    judge, path = Problem(held_out, problem.tunables, problem.loss, problem.arm), out / STATE
+    if path.exists() and _read(path, problem, judge, settings) is None:
+        raise ValueError(
+            f"out: got '{out}' with the state of another descent, or one that cannot be read, in {STATE}, "
+            "allowed: another folder, or overwrite it"
+        )
+
+
+def _read(path: Path, problem: Problem, judge: Problem, settings: Settings) -> Descent | None:
+    """The state in a file; None if it is of another descent or damaged."""
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        same = kept.pop("key") == _key(problem, judge, settings)
+        return Descent(**kept) if same else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _load(out: Path, problem: Problem, judge: Problem, settings: Settings, overwrite: bool) -> Descent:
+    if not overwrite:
+        require_same(out, problem, judge.experiment, settings)
+    state = _read(out / STATE, problem, judge, settings)
+    if state is None:
         z, k = to_unconstrained(problem, problem.start), len(problem.tunables)
         return Descent(z=z.tolist(), first=[0.0] * k, second=[0.0] * k, trusted=[True] * k)
-    kept = json.loads(path.read_text(encoding="utf-8"))
-    if kept.pop("key") != _key(problem, judge, settings):
-        raise ValueError(f"out: got '{out}' with the state of another descent, allowed: another folder")
-    state = Descent(**kept)
     if state.finished.endswith("steps") and state.step <= settings.steps:
         state.finished, state.step = "", state.step - 1
         state.history.pop()
@@ -259,7 +282,5 @@ def _load(out: Path, problem: Problem, judge: Problem, settings: Settings) -> De
 
 def _save(out: Path, state: Descent, problem: Problem, judge: Problem, settings: Settings) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    temporary = out / f"{STATE}.tmp"
     text = json.dumps({"key": _key(problem, judge, settings), **asdict(state)}, indent=1)
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, out / STATE)
+    files.write(out / STATE, text)

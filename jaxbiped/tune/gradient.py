@@ -19,10 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbiped import batch, sim
+from jaxbiped import batch, runtime, sim
 from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
-from jaxbiped.batch.workers import threads
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import Loss, WalkLoss, judge
 from jaxbiped.sim.rollout import base_model, make_feed_forward, simulate
@@ -172,7 +171,7 @@ def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
     return jnp.concatenate([trace.p_world_trunk, trace.roll_pitch_yaw, soles], axis=-1)
 
 
-@sim.jit_walks
+@runtime.jit
 def walk_slopes(
     setting: _Setting, at: Float[Array, " k"], scenarios: sim.Scenario
 ) -> tuple[Array, Array, Array, dict[str, Array]]:
@@ -188,7 +187,7 @@ def walk_slopes(
     return jax.vmap(along, out_axes=(None, 1, 2, None))(units)
 
 
-@sim.jit_walks
+@runtime.jit
 def walk_values(
     setting: _Setting, at: Float[Array, "n k"], scenarios: sim.Scenario
 ) -> tuple[Array, dict[str, Array]]:
@@ -294,7 +293,7 @@ def _side_by_side(problem: Problem, function: Any, calls: list[tuple[Array, sim.
     ahead = 0 if kind in problem.compiled else 1
     found = [one(call) for call in calls[:ahead]]
     problem.compiled.add(kind)
-    with ThreadPoolExecutor(threads()) as pool:
+    with ThreadPoolExecutor(runtime.threads()) as pool:
         return found + list(pool.map(one, calls[ahead:]))
 
 
@@ -313,7 +312,7 @@ def _gradient(
 
 def _pieces(rows: np.ndarray) -> np.ndarray:
     """Rows in pieces of one size, one for every thread and LANES at most; the last row fills up the last piece."""
-    room = min(LANES, -(-len(rows) // threads()))
+    room = min(LANES, -(-len(rows) // runtime.threads()))
     return np.concatenate([rows, np.full(-len(rows) % room, rows[-1])]).reshape(-1, room)
 
 

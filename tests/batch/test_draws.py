@@ -1,5 +1,8 @@
 """Grids are full, draws follow their distributions, and a seed gives the same table."""
 
+import subprocess
+import sys
+
 import numpy as np
 import polars as pl
 import pytest
@@ -53,16 +56,43 @@ def test_a_seed_gives_the_same_table_and_a_column_keeps_its_values():
     assert draw(3, 0, friction=0.5)["friction"].to_list() == [0.5] * 3
 
 
+@pytest.mark.parametrize("latin", [True, False])
+def test_a_column_more_or_less_changes_no_other_wherever_it_stands(latin):
+    columns = {"load_kg": Uniform(0, 25), "friction": Normal(0.7, 0.1), "load_time_s": Uniform(1, 6)}
+    whole = draw(50, 7, latin_hypercube=latin, **columns)
+    for name in columns:
+        for order in (1, -1):
+            fewer = {n: columns[n] for n in list(columns)[::order] if n != name}
+            part = draw(50, 7, latin_hypercube=latin, push_x_N=Uniform(-1, 1), **fewer)
+            assert all(part[n].equals(whole[n]) for n in fewer)
+
+
+def test_whole_numbers_may_be_numpys():
+    assert draw(np.int64(3), np.int32(1), x=Uniform(0, 1)).equals(draw(3, 1, x=Uniform(0, 1)))
+    assert draw(2, 0, x=np.float32(0.5))["x"].to_list() == [0.5] * 2
+    assert grid(x=np.array([1, 2])).equals(grid(x=[1.0, 2.0]))
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
         (lambda: Uniform(2.0, 1.0), "low <= high"),
         (lambda: Uniform(0.0, float("inf")), "finite"),
-        (lambda: Normal(0.0, 0.0), "deviation > 0"),
+        (lambda: Uniform(0.0, float("nan")), "finite"),
+        (lambda: Uniform(False, 1.0), "truth value"),
+        (lambda: Normal(0.0, 0.0), "deviation: got 0, allowed: > 0"),
         (lambda: Normal(float("nan"), 1.0), "finite"),
+        (lambda: Normal(0.0, float("inf")), "finite"),
         (lambda: Choice(()), "at least one"),
+        (lambda: Choice((1.0, float("nan"))), "choice: got nan"),
+        (lambda: Choice((1.0, float("inf"))), "choice: got inf"),
         (lambda: draw(0, 1, x=1.0), "n: got 0"),
+        (lambda: draw(True, 1, x=1.0), "n: got the truth value"),
         (lambda: draw(5, -1, x=1.0), "seed: got -1"),
+        (lambda: draw(5, 0, x=float("nan")), "x: got nan"),
+        (lambda: grid(x=[1.0, float("nan")]), "x: got nan"),
+        (lambda: grid(x=1e39), "infinite in float32"),
+        (lambda: grid(x=range(10_000), y=range(10_000)), "grid: got 100000000 combinations"),
     ],
 )
 def test_bad_draws_are_refused(make, says):
@@ -72,3 +102,37 @@ def test_bad_draws_are_refused(make, says):
 
 def test_grids_and_draws_are_tables():
     assert isinstance(grid(a=1.0), pl.DataFrame) and isinstance(draw(2, 0, a=1.0), pl.DataFrame)
+
+
+CALLS = {
+    "Uniform('0', 1.0)": "uniform: low: got the text '0'",
+    "Choice('abc')": "choice: got 'abc'",
+    "Choice((1.0, '2'))": "choice: got the text '2'",
+    "draw(2.5, 1, x=1.0)": "n: got the float 2.5",
+    "draw('3', 1, x=1.0)": "n: got the text '3'",
+    "draw(5, 0, x='fast')": "x: got the text 'fast'",
+    "draw(5, 0, x=None)": "x: got nothing",
+    "grid(x=['1'])": "x: got the text '1'",
+    "grid(x='12')": "x: got the text '12'",
+}
+
+
+def test_what_is_no_number_is_refused_in_one_line_where_no_type_is_checked():
+    """Outside the tests nothing looks at annotations."""
+    lines = ["from jaxbiped.batch import *"]
+    for call in CALLS:
+        lines += [
+            "try:",
+            f"    {call}",
+            "except ValueError as error:",
+            "    print(error)",
+            "else:",
+            "    print('taken')",
+        ]
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True
+    )
+    said = done.stdout.splitlines()
+    assert len(said) == len(CALLS)
+    for line, wanted in zip(said, CALLS.values(), strict=True):
+        assert line.startswith(wanted) and "allowed" in line

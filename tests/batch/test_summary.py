@@ -253,3 +253,10 @@ def test_information_is_corrected_for_the_number_of_walks():
     assert np.mean(told) < 0.5 * plain
     same = np.repeat([0, 1], 100)
     assert summary.information(same, same) == pytest.approx(1.0 + 1 / (2 * n * math.log(2.0)))
+
+
+def test_only_declared_inputs_are_inputs():
+    table = walks("a", [1, 0], friction=[0.5, 0.6], step_2_height_m=[0.0, 0.01], peak_roll_deg=[1.0, 2.0])
+    odd = table.with_columns(new_outcome_N=pl.Series([1.0, 2.0]), seed=pl.Series([1, 2]))
+    assert summary.inputs(odd) == ["friction", "step_2_height_m"]
+    assert "new_outcome_N" not in set(summary.causes(odd)["input"])

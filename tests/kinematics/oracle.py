@@ -22,7 +22,7 @@ BENT = 0.0101
 
 def load(name: str) -> robot.RobotParams:
     """A robot under a name that all share: the name is static, so they share compiled kernels too."""
-    return dataclasses.replace(robot.load(name), name="any")
+    return dataclasses.replace(robot.load(name), name="any", walks_like="")
 
 
 def random_angles(params: robot.RobotParams, n: int, seed: int = 0) -> np.ndarray:

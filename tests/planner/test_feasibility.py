@@ -68,7 +68,7 @@ def _judge(biped, targets) -> Feasibility:
 
 def judge(biped, targets) -> Feasibility:
     """Feasibility of any (n,) targets of any robot, in blocks of one size: compiled once, whatever the gait."""
-    biped = dataclasses.replace(biped, name="any")  # static, so that it would compile anew
+    biped = dataclasses.replace(biped, name="any", walks_like="")  # static, so that it would compile anew
     targets = jax.tree.map(np.asarray, targets)
     count = len(targets.phase.step)
     blocks = []
@@ -132,7 +132,7 @@ def _walk_and_inverse(name: str) -> tuple[Feasibility, Inverse]:
     qacc = (qvel[after] - qvel[before]) / (2 * STEP)
     assert np.abs((angle[after] - angle[before]) / (2 * STEP) - speed[middle]).max() < 1e-7
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf[middle]), targets)
-    _, feet = _ground_wrenches(dataclasses.replace(biped, name="any"), state)
+    _, feet = _ground_wrenches(dataclasses.replace(biped, name="any", walks_like=""), state)
     now_only = jax.tree.map(lambda leaf: leaf[middle], judged)
     return now_only, _inverse(build_model(biped), qpos, qvel, qacc, jax.tree.map(np.asarray, feet))
 
@@ -237,7 +237,7 @@ def test_feet_share_the_ground_wrench(x64):
     """The parts add up, no foot pulls, and in single support the swing foot has nothing."""
     biped, gait, times = _walk("surena3")
     targets = jax.jit(jax.vmap(at, in_axes=(None, 0)))(gait, times)
-    total, feet = _ground_wrenches(dataclasses.replace(biped, name="any"), targets)
+    total, feet = _ground_wrenches(dataclasses.replace(biped, name="any", walks_like=""), targets)
     assert np.allclose(feet.force.sum(axis=1), total.force, rtol=0.0, atol=1e-9)
     assert np.allclose(feet.moment.sum(axis=1), total.moment, rtol=0.0, atol=1e-9)
     assert feet.force[..., 2].min() >= 0.0

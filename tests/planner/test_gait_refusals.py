@@ -1,10 +1,13 @@
 """Gaits that cannot be walked are refused when they are made, in words that say which number is wrong."""
 
+import dataclasses
 import re
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jaxtyping
+import numpy as np
 import pytest
 import surena3_gaits
 
@@ -25,21 +28,33 @@ from jaxbiped.robot import LEFT
 NAN, INF = float("nan"), float("inf")
 
 POLYNOMIAL = [
-    ("T_s", -1.0, "got -1 s, allowed: > 0 s"),
-    ("T_s", 0.0, "got 0 s, allowed: > 0 s"),
-    ("T_s", NAN, "got nan s, allowed: > 0 s"),
-    ("T_s", INF, "got inf s, allowed: > 0 s"),
-    ("T_d", -0.5, "got -0.5 s, allowed: > 0 s"),
+    ("T_s", -1.0, "got -1 s, allowed: > 0 and <= 60 s"),
+    ("T_s", 0.0, "got 0 s, allowed: > 0 and <= 60 s"),
+    ("T_s", NAN, "got nan s, allowed: > 0 and <= 60 s"),
+    ("T_s", INF, "got inf s, allowed: > 0 and <= 60 s"),
+    ("T_s", 1200.0, "got 1200 s, allowed: > 0 and <= 60 s; 1200 ms is 1.2 s"),
+    ("T_d", -0.5, "got -0.5 s, allowed: > 0 and <= 60 s"),
     ("T_ini", 0.2, "got 0.2 s, allowed: >= T_d / 2 = 0.3 s"),
-    ("T_end", 0.0, "got 0 s, allowed: >= T_d / 2 = 0.3 s"),
-    ("D_s", -0.25, "got -0.25 m, allowed: >= 0 m"),
-    ("H_max", 0.0, "got 0 m, allowed: > 0 m"),
-    ("H_max", -0.05, "got -0.05 m, allowed: > 0 m (the swing foot must not go below the ground)"),
-    ("z_min", 0.0, "got 0 m, allowed: > 0 m"),
+    ("T_end", 0.25, "got 0.25 s, allowed: >= T_d / 2 = 0.3 s"),
+    ("T_end", 0.0, "got 0 s, allowed: > 0 and <= 600 s"),
+    ("T_end", 1500.0, "got 1500 s, allowed: > 0 and <= 600 s; 1500 ms is 1.5 s"),
+    ("D_s", -0.25, "got -0.25 m, allowed: >= 0 and <= 2 m"),
+    ("D_s", 250.0, "got 250 m, allowed: >= 0 and <= 2 m; 250 mm is 0.25 m"),
+    ("D_s", 1e300, "got inf m, allowed: >= 0 and <= 2 m"),
+    ("H_max", 0.0, "got 0 m, allowed: > 0 and <= 1 m"),
+    ("H_max", -0.05, "got -0.05 m, allowed: > 0 and <= 1 m"),
+    ("H_max", 100.0, "got 100 m, allowed: > 0 and <= 1 m; 100 mm is 0.1 m or 100 cm is 1 m"),
+    ("z_min", 0.0, "got 0 m, allowed: > 0 and <= 2 m"),
+    ("z_min", 745.0, "got 745 m, allowed: > 0 and <= 2 m; 745 mm is 0.745 m"),
     ("z_max", 0.7, "got 0.7 m, allowed: >= z_min = 0.745 m"),
     ("L_p", 0.15, "got 0.15 m, allowed: > 0.16 m (the soles must not overlap)"),
-    ("x_s", NAN, "got nan m, allowed: a finite number"),
-    ("y_m", INF, "got inf m, allowed: a finite number"),
+    ("x_s", NAN, "got nan m, allowed: >= -1 and <= 1 m"),
+    ("y_m", INF, "got inf m, allowed: >= -1 and <= 1 m"),
+    (
+        "y_m",
+        -21.98,
+        "got -21.98 m, allowed: >= -1 and <= 1 m; -21.98 mm is -0.02198 m or -21.98 cm is -0.2198 m",
+    ),
 ]
 BEYOND_REACH = [
     ("z_max", 0.84),
@@ -48,15 +63,18 @@ BEYOND_REACH = [
     ("H_max", 0.7),
 ]
 COSINE = [
-    ("t_ss", 0.0, "got 0 s, allowed: > 0 s"),
-    ("t_ds", NAN, "got nan s, allowed: > 0 s"),
-    ("T_ini", -1.0, "got -1 s, allowed: > 0 s"),
-    ("T_end", 0.0, "got 0 s, allowed: > 0 s"),
-    ("b_s", -0.08, "got -0.08 m, allowed: >= 0 m"),
-    ("h_s", 0.0, "got 0 m, allowed: > 0 m (the swing foot must not go below the ground)"),
-    ("h_b", -0.5, "got -0.5 m, allowed: > 0 m"),
+    ("t_ss", 0.0, "got 0 s, allowed: > 0 and <= 60 s"),
+    ("t_ss", 1400.0, "got 1400 s, allowed: > 0 and <= 60 s; 1400 ms is 1.4 s"),
+    ("t_ds", NAN, "got nan s, allowed: > 0 and <= 60 s"),
+    ("T_ini", -1.0, "got -1 s, allowed: > 0 and <= 600 s"),
+    ("T_end", 0.0, "got 0 s, allowed: > 0 and <= 600 s"),
+    ("b_s", -0.08, "got -0.08 m, allowed: >= 0 and <= 1 m"),
+    ("b_s", 80.0, "got 80 m, allowed: >= 0 and <= 1 m; 80 mm is 0.08 m or 80 cm is 0.8 m"),
+    ("h_s", 0.0, "got 0 m, allowed: > 0 and <= 1 m"),
+    ("h_b", -0.5, "got -0.5 m, allowed: > 0 and <= 2 m"),
     ("w_of", 0.05, "got 0.05 m, allowed: > 0.06586 m (the soles must not overlap)"),
-    ("w", NAN, "got nan m, allowed: a finite number"),
+    ("w", NAN, "got nan m, allowed: >= -1 and <= 1 m"),
+    ("w", INF, "got inf m, allowed: >= -1 and <= 1 m"),
 ]
 
 
@@ -82,10 +100,10 @@ def test_polynomial_parameters(surena3, name, value, words):
 
 def test_start_and_stop_parameters(surena3):
     params = surena3_gaits.params("C", v_first=NAN)
-    with pytest.raises(GaitError, match=r"^start_stop\.v_first: got nan m/s, allowed: a finite number"):
+    with pytest.raises(GaitError, match=r"^start_stop\.v_first: got nan m/s, allowed: >= -5 and <= 5 m/s"):
         PolynomialGait.make(surena3, params, 3)
     params = surena3_gaits.params("C", x_e_last=INF)
-    with pytest.raises(GaitError, match=r"^start_stop\.x_e_last: got inf m, allowed: a finite number"):
+    with pytest.raises(GaitError, match=r"^start_stop\.x_e_last: got inf m, allowed: >= -1 and <= 1 m"):
         PolynomialGait.make(surena3, params, 3)
 
 
@@ -143,6 +161,47 @@ def test_number_of_steps(preset, n_steps):
         gait.preset(robot.load(name), n_steps)
 
 
+@pytest.mark.parametrize("given", [True, np.bool_(True), 2.0, np.float32(2.0), "2", None, 10**400])
+@pytest.mark.parametrize("preset", [(PolynomialGait, "surena3"), (CosineGait, "elkahlout")])
+def test_what_is_no_number_of_steps(monkeypatch, preset, given):
+    """As users meet it: without the tests' own checks of annotations."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    gait, name = preset
+    biped = robot.load(name)
+    with pytest.raises(GaitError, match=r"^n_steps: got .*, allowed: a whole number >= 1"):
+        gait.preset(biped, given)
+    with pytest.raises(GaitError, match=r"^first_swing: got .*, allowed: 0 \(left\) or 1 \(right\)"):
+        gait.preset(biped, 2, given)
+
+
+@pytest.mark.parametrize("preset", [(PolynomialGait, "surena3"), (CosineGait, "elkahlout")])
+def test_whole_numbers_of_numpy_and_jax_will_do(preset):
+    gait, name = preset
+    biped = robot.load(name)
+    wanted = gait.preset(biped, 2, 1)
+    for steps, foot in (
+        (np.int64(2), np.uint8(1)),
+        (np.int32(2), np.int16(1)),
+        (jnp.asarray(2), jnp.asarray(1)),
+    ):
+        given = gait.preset(biped, steps, foot)
+        assert type(given.n_steps) is int and type(given.first_swing) is int
+        assert jax.tree.structure(given) == jax.tree.structure(wanted)
+
+
+@pytest.mark.parametrize("gait", [PolynomialGait, CosineGait])
+def test_a_robot_that_walks_like_a_preset_has_its_gait(gait):
+    preset = robot.load("surena3")
+    renamed = dataclasses.replace(preset, name="mine")
+    assert jax.tree.structure(gait.preset(renamed, 2)) == jax.tree.structure(gait.preset(preset, 2))
+    unlike = dataclasses.replace(renamed, walks_like="")
+    with pytest.raises(
+        GaitError, match=r"got robot 'mine', allowed: .*add walks_like = '.*' or '.*' to the robot"
+    ):
+        gait.preset(unlike, 2)
+    assert gait.preset(dataclasses.replace(preset, walks_like=""), 2).n_steps == 2  # by its own name
+
+
 @pytest.mark.parametrize("preset", [(PolynomialGait, "surena3"), (CosineGait, "elkahlout")])
 def test_first_swing(preset):
     gait, name = preset
@@ -152,11 +211,13 @@ def test_first_swing(preset):
 
 def test_presets_of_unknown_robots():
     with pytest.raises(
-        GaitError, match=r"^preset gait: got robot 'atlas', allowed: surena3, elkahlout; otherwise Poly"
+        GaitError,
+        match=r"^preset gait: got robot 'atlas', allowed: surena3, elkahlout; otherwise add walks_like = ",
     ):
         polynomial_params("atlas")
     with pytest.raises(
-        GaitError, match=r"^preset gait: got robot 'atlas', allowed: elkahlout, surena3; otherwise Cosine"
+        GaitError,
+        match=r"^preset gait: got robot 'atlas', allowed: elkahlout, surena3; otherwise add walks_like = ",
     ):
         cosine_params("atlas")
 

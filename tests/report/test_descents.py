@@ -48,3 +48,17 @@ def test_sensitivity_has_a_panel_for_every_tunable(count):
         _, secants, derivatives = lines(panel)
         np.testing.assert_array_equal(derivatives, np.column_stack([[1, 2, 3], slope[[1, 2, 0], i]]))
         np.testing.assert_array_equal(secants, np.column_stack([[1, 2, 3], -slope[[1, 2, 0], i]]))
+
+
+def test_sensitivity_counts_what_is_beyond_its_panel():
+    secants, derivatives = np.ones((20, 1)), np.ones((20, 1))
+    derivatives[3] = 50.0
+    (panel,) = descents.sensitivity(np.arange(20.0), derivatives, secants, ["a"], "x", "slopes").get_axes()
+    assert panel.get_title(loc="left") == "a (1 beyond the panel)"
+    assert panel.get_ylim() == (-2.0, 2.0)
+
+
+def test_sensitivity_without_numbers_is_drawn():
+    nothing = np.full((3, 2), np.nan)
+    panels = descents.sensitivity(np.arange(3.0), nothing, nothing, ["a", "b"], "x", "slopes").get_axes()
+    assert [panel.get_title(loc="left") for panel in panels] == ["a", "b"]

@@ -1,11 +1,14 @@
 """The curves of a figure are the plan's own numbers, and the picture is complete."""
 
 import builtins
+import errno
 import importlib
+import os
 import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -139,7 +142,7 @@ def test_single_support_is_shaded_once_a_step(plan):
         assert right - left == pytest.approx(float(p.T_s), abs=2 * sample)
 
 
-def test_every_figure_is_labelled_and_nothing_is_cut(plan, cycle):
+def test_every_figure_is_labeled_and_nothing_is_cut(plan, cycle):
     for name, figure in every_figure(plan, cycle).items():
         assert figure.get_suptitle(), name
         assert "[s]" in figure.axes[-1].get_xlabel()
@@ -161,6 +164,56 @@ def test_save_writes_a_png_of_the_right_size(plan, tmp_path: Path):
     header = path.read_bytes()[:24]
     assert header[:8] == b"\x89PNG\r\n\x1a\n"
     assert int.from_bytes(header[16:20], "big") == 9 * figures.DPI
+
+
+def test_a_full_disk_leaves_the_old_figure(plan, tmp_path: Path, monkeypatch):
+    path = tmp_path / "pelvis.png"
+    path.write_bytes(b"old")
+
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("jaxbiped.files.os.fsync", full)
+    with pytest.raises(OSError, match=r"pelvis\.png"):
+        figures.save(Figure(), path)
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("pelvis.png", b"old")]
+
+
+def test_a_figure_may_be_read_by_whom_the_umask_lets(tmp_path: Path):
+    before = os.umask(0o022)
+    try:
+        path = figures.save(Figure(), str(tmp_path / "empty.png"))
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize(
+    ("margins", "said"),
+    [
+        ([-0.01, -0.005], "smallest -10"),
+        ([0.0, 0.0], "smallest 0"),
+        ([1e-9, -6.035e-11], "smallest 0"),
+        ([0.01, np.nan], "smallest 10"),
+        ([np.nan, np.inf], None),
+    ],
+)
+def test_every_value_of_a_page_is_in_its_panel(plan, margins, said):
+    """Also where all of them are below zero, none is anything but zero, or there is none."""
+    few = jax.tree.map(lambda leaf: leaf[:2], (plan.report, plan.phase))
+    report = eqx.tree_at(lambda r: r.zmp_margin, few[0], jnp.asarray(margins, jnp.float32))
+    axes = figures.feasibility_page(report, few[1]).axes[0]
+    low, high = axes.get_ylim()
+    known = [1e3 * margin for margin in margins if np.isfinite(margin)]
+    assert low < high and all(low <= value <= high for value in [*known, 0.0])
+    labels = [line.get_label() for line in axes.get_lines()[1:]]
+    assert labels == ([] if said is None else [said])
+
+
+def test_a_single_sample_can_be_drawn(plan):
+    one = jax.tree.map(lambda leaf: leaf[:1], (plan.time, plan.task, plan.phase))
+    left, right = figures.feet(*one).axes[0].get_xlim()
+    assert left < float(plan.time[0]) < right
 
 
 def test_pyplot_is_not_needed():

@@ -1,6 +1,9 @@
 """A page is one whole HTML file: balanced, self-contained, and what is written on it stays text."""
 
 import base64
+import errno
+import math
+import os
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -8,7 +11,7 @@ import polars as pl
 import pytest
 from matplotlib.figure import Figure
 
-from jaxbiped.report import page
+from jaxbiped.report import page, quantities
 
 VOID = {"meta", "img", "br", "hr", "link"}
 HOSTILE = "<script>alert(\"1\")</script> & 'quoted' <img src=x onerror=alert(1)>"
@@ -116,11 +119,11 @@ def test_tables_show_every_value_and_text_keeps_its_spaces(written):
     assert reader.said_in("th") == ["arm", "rate", "n", "success"]
     assert reader.said_in("td") == [
         HOSTILE,
-        "0.1235",
+        "0.123",
         "1234567",
         "yes",
-        page.NOTHING,
-        page.NOTHING,
+        quantities.NOTHING,
+        quantities.NOTHING,
         "2",
         "no",
     ]
@@ -159,17 +162,51 @@ def test_a_page_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path):
     assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
 
 
+def test_numbers_are_shown_as_their_columns_ask():
+    rows = {
+        "zmp_margin_m": [-6.035e-08, math.nan, None],
+        "peak_pitch_deg": [3.14159, math.inf, -math.inf],
+        "load_time_s": [1.5, 1e6, None],
+        "n": [1, 2, None],
+    }
+    reader = read(page.page("Numbers", [page.Section("Rows", tables=[pl.DataFrame(rows)])]))
+    assert reader.said_in("td") == [
+        *("0.0000", "3.14", "1.500", "1"),
+        *("–", "infinite", "never", "2"),
+        *("–", "minus infinite", "–", "–"),
+    ]
+
+
 def test_an_interrupted_write_leaves_the_old_page(tmp_path: Path, monkeypatch):
     path = tmp_path / "report.html"
     page.write_page(path, "Old", [])
 
-    def half(self, text, **_):
-        self.write_bytes(text[:50].encode())
-        raise OSError("disk full")
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_text", half)
-    with pytest.raises(OSError, match="disk full"):
+    monkeypatch.setattr("jaxbiped.files.os.fsync", full)
+    with pytest.raises(OSError, match=r"report\.html"):
         page.write_page(path, "New", [])
     monkeypatch.undo()
     assert read(path.read_text(encoding="utf-8")).said_in("h1") == ["Old"]
     assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_page_may_be_read_by_whom_the_umask_lets(tmp_path: Path):
+    before = os.umask(0o022)
+    try:
+        path = page.write_page(tmp_path / "report.html", "Page", [])
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+def test_the_head_says_what_a_page_is_of(tmp_path: Path):
+    path = page.write_page(tmp_path / "report.html", "Page " + 5000 * "x", SECTIONS, key='a"key')
+    assert {"name": "key", "content": 'a"key'} in read(path.read_text(encoding="utf-8")).all("meta")
+    assert b"a&quot;key" in path.read_bytes()[:400]
+
+
+def test_a_page_in_a_folder_that_is_not_there_is_named(tmp_path: Path):
+    with pytest.raises(OSError, match=r"missing.*report\.html"):
+        page.write_page(tmp_path / "missing" / "report.html", "Page", [])

@@ -1,0 +1,148 @@
+"""How far a run is, said now and then, so that nothing long is silent: not even while XLA compiles."""
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+BAR = 24
+"""Characters of the bar of progress."""
+FIRST_S, EVERY_S = 5.0, 30.0
+"""When a line is first written where there is no terminal, and how often from then on [s]."""
+REDRAWN_S = 1.0
+"""How often the line of a terminal is written anew [s]."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run has got."""
+
+    done: int
+    """Walks finished, those found in the folder among them."""
+    total: int
+    failed: int
+    """Walks that were no success, or fell after it, of those finished."""
+    seconds: float
+    """Since the run began [s]."""
+    rate: float | None
+    """Walks a second in this run; None until a chunk is finished."""
+    seconds_left: float | None
+    """Estimate [s]; None until a chunk is finished."""
+
+
+def show(stream: Any = None) -> "Shown":
+    """Say the progress of a run: on a terminal one line that is written over again, elsewhere a line now and then."""
+    return Shown(stream or sys.stderr)
+
+
+class Shown:
+    """To be called with a `Progress` after every chunk; `close` ends it."""
+
+    def __init__(self, stream: Any):
+        self._last: Progress | None = None
+        self._at = time.monotonic()
+        self._pulse = _Pulse(stream, self._words)
+
+    def __call__(self, progress: Progress) -> None:
+        """Take note of how far the run has got."""
+        if progress.done == progress.total and self._last is None:
+            return  # nothing was left to do
+        self._last, self._at = progress, time.monotonic()
+        self._pulse.start()
+        if progress.done == progress.total:
+            self.close()
+
+    def close(self) -> None:
+        """Say where it stopped, if anything was said."""
+        self._pulse.close()
+
+    def _words(self) -> str:
+        p = self._last
+        assert p is not None
+        passed = time.monotonic() - self._at
+        filled = round(BAR * p.done / max(p.total, 1))
+        bar = f"[{'#' * filled}{'.' * (BAR - filled)}] {p.done} of {p.total} walks"
+        if p.rate is None or p.seconds_left is None:
+            return f"{bar}, compiling and simulating the first chunk for {duration(p.seconds + passed)}"
+        left = f", about {duration(max(0.0, p.seconds_left - passed))} left" if p.done < p.total else ""
+        return f"{bar}, {p.failed} failed, {p.rate:.3g} a second{left}"
+
+
+@contextmanager
+def waiting(what: str, stream: Any = None, redraw: bool = True) -> Iterator[None]:
+    """Say now and then that something is still going on.
+
+    Args:
+        what: that goes on, such as "compiling and simulating 17 s of walking".
+        stream: where to; standard error by default.
+        redraw: on a terminal one line that is written over again; else lines, among which others may be written.
+    """
+    began = time.monotonic()
+    words = lambda: f"{what}: {duration(time.monotonic() - began)}"  # noqa: E731
+    pulse = _Pulse(stream or sys.stderr, words, keep=False, redraw=redraw)
+    pulse.start()
+    try:
+        yield
+    finally:
+        pulse.close()
+
+
+def duration(seconds: float) -> str:
+    """A time to read: 42 s, 3 min 20 s, 2 h 5 min."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+class _Pulse:
+    """Writes words to a stream now and then, in a thread of its own."""
+
+    def __init__(self, stream: Any, words: Callable[[], str], keep: bool = True, redraw: bool = True):
+        self.stream, self.words, self.keep = stream, words, keep
+        self.terminal = redraw and bool(getattr(stream, "isatty", lambda: False)())
+        self.ended, self.width = threading.Event(), 0
+        self.thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin, once."""
+        if self.thread is None and not self.ended.is_set():
+            self.thread = threading.Thread(target=self._run, daemon=True)
+            self.thread.start()
+
+    def close(self) -> None:
+        """End it; on a terminal the last line stays, if it is to be kept."""
+        if self.thread is None or self.ended.is_set():
+            self.ended.set()
+            return
+        self.ended.set()
+        self.thread.join()
+        if self.terminal and self.keep:
+            self._write(end="\n")
+        elif self.terminal:
+            self._put("\r" + " " * self.width + "\r")
+        elif self.width:
+            self._write(end="\n")
+
+    def _run(self) -> None:
+        wait = REDRAWN_S if self.terminal else FIRST_S
+        while not self.ended.wait(wait):
+            wait = REDRAWN_S if self.terminal else EVERY_S
+            self._write(end="" if self.terminal else "\n")
+
+    def _write(self, end: str) -> None:
+        text = self.words()
+        self._put(f"\r{text.ljust(self.width)}{end}" if self.terminal else f"{text}{end}")
+        self.width = len(text)
+
+    def _put(self, text: str) -> None:
+        try:
+            self.stream.write(text)
+            self.stream.flush()
+        except (OSError, ValueError):  # nobody reads any more
+            self.ended.set()
