@@ -10,6 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+# XLA reads it when JAX is imported. It keeps to itself that it compiles slowly, and that kernels it finds in the cache
+# were compiled for "another" machine, which is this one; errors still come as exceptions. Set it to 0 to see all.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -33,8 +37,8 @@ ONE_THREAD = {
     "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
     "TF_CPP_MIN_LOG_LEVEL": "3",
 }
-"""Environment of a process that is to use one core (XLA makes as many threads as NPROC says), less memory to compile
-and to itself what XLA logs, such as that it compiles slowly; XLA reads it when it is first used."""
+"""Environment of a process that is to use one core (XLA makes as many threads as NPROC says), less memory to compile,
+and no more of a GPU's than it needs; XLA reads it when it is first used."""
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:

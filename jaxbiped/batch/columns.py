@@ -3,6 +3,8 @@
 Inputs are declared in `inputs`. A column that is declared nowhere is an error, never an input.
 """
 
+from collections.abc import Collection
+
 IDENTITY = {
     "row": "number of the walk in the table",
     "arm": "name of the controller",
@@ -41,22 +43,14 @@ FAILED = ("fell", "nonfinite", "airborne")
 """Values of the status of a robot that came to grief, whatever the rule says of it."""
 
 
-def require_declared(names: list[str]) -> None:
-    """Check that the columns of an outcome are the declared ones, in their order.
+def require_declared(names: Collection[str]) -> None:
+    """Check that the columns of an outcome are the declared ones, in any order.
 
     Raises:
         ValueError: naming those that are not.
     """
-    if names != list(OUTCOMES):
-        odd = [name for name in names if name not in OUTCOMES]
-        lacking = [name for name in OUTCOMES if name not in names]
-        what = (
-            f"undeclared {', '.join(odd)}"
-            if odd
-            else f"no {', '.join(lacking)}"
-            if lacking
-            else "another order"
-        )
-        raise ValueError(
-            f"outcome: got {what}, allowed: the columns of batch.columns.OUTCOMES in their order"
-        )
+    odd = [name for name in names if name not in OUTCOMES]
+    lacking = [name for name in OUTCOMES if name not in names]
+    if odd or lacking:
+        what = f"undeclared {', '.join(odd)}" if odd else f"no {', '.join(lacking)}"
+        raise ValueError(f"outcome: got {what}, allowed: the columns of batch.columns.OUTCOMES")

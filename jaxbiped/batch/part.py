@@ -11,7 +11,7 @@ from jaxtyping import Array
 from jaxbiped import runtime
 from jaxbiped.adapt import Controller
 from jaxbiped.batch import inputs
-from jaxbiped.batch.columns import require_declared
+from jaxbiped.batch.columns import OUTCOMES, require_declared
 from jaxbiped.batch.experiment import Chunk, Experiment
 from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.score import STATUS_TEXT, judge
@@ -109,9 +109,10 @@ def outcome_frame(outcome: dict[str, np.ndarray]) -> pl.DataFrame:
     Raises:
         ValueError: for a column that is not declared in `columns.OUTCOMES`.
     """
-    require_declared(list(outcome))
+    require_declared(outcome)
     columns = {}
-    for name, values in outcome.items():
+    for name in OUTCOMES:
+        values = outcome[name]
         if name == "status":
             columns[name] = pl.Series([STATUS_TEXT[i] for i in values], dtype=pl.String)
         elif values.dtype.kind in "iu":

@@ -24,7 +24,7 @@ def as_scalar(value: Scalar) -> Float[Array, ""]:
     """A number as an array of JAX's default float type; the converter of parameter fields."""
     if isinstance(value, bool | np.bool_ | str):
         raise checked.Refusal(f"parameter: got {checked.shown(value)}, allowed: one number")
-    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused where its name is known
+    with np.errstate(over="ignore"):  # becomes infinite, and is refused where its name is known
         return jnp.asarray(value, jnp.result_type(float))
 
 

@@ -270,6 +270,15 @@ def pad_under(robot: RobotParams, gait: Gait, step: SupportsIndex) -> tuple[np.n
     return corners.min(axis=0) - [PAD_BEHIND, PAD_AROUND], corners.max(axis=0) + PAD_AROUND
 
 
+def swing_height(gait: Gait, step: SupportsIndex = 0) -> float:
+    """Height that the swing foot goes to in the middle of a step [m].
+
+    Raises:
+        ValueError: if the gait has no such step.
+    """
+    return _swing(gait, step)[2]
+
+
 def require_swing_clears(gait: Gait, heights: Mapping[Any, Any]) -> None:
     """Refuse an obstacle under a foothold that is as high as the swing foot goes, or higher.
 
@@ -285,7 +294,7 @@ def require_swing_clears(gait: Gait, heights: Mapping[Any, Any]) -> None:
     for step, height in heights.items():
         if not is_concrete(height):
             continue
-        apex, height = _swing(gait, step)[2], RANGES["height_m"].check(f"step {step}, height", height)
+        apex, height = swing_height(gait, step), RANGES["height_m"].check(f"step {step}, height", height)
         if height >= apex - 1e-6:
             raise Refusal(
                 f"step {step}: got an obstacle of {height:g} m, allowed: below {apex:.3g} m, the height the swing foot "

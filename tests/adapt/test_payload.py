@@ -706,20 +706,26 @@ def reflex(**parameters) -> PayloadReflex:
 @pytest.mark.parametrize("name", UNIT)
 def test_what_cannot_be_meant_is_refused(name, value):
     unit = UNIT[name]
-    with pytest.raises(ValueError, match=rf"^{name}: got {value:g} {unit}, allowed: > 0 and <= [0-9]+ {unit}$"):
+    with pytest.raises(
+        ValueError, match=rf"^{name}: got {value:g} {unit}, allowed: > 0 and <= [0-9]+ {unit}$"
+    ):
         reflex(**{name: jnp.asarray(value)})
 
 
 @pytest.mark.parametrize(("name", "value"), NOT_FINITE)
 def test_what_is_not_finite_is_refused(name, value):
     unit = "" if name == "x_ref_gain" else " m"
-    with pytest.raises(ValueError, match=rf"^{name}: got {value:g}{unit}, allowed: >= -?[0-9.]+ and <= [0-9.]+{unit}$"):
+    with pytest.raises(
+        ValueError, match=rf"^{name}: got {value:g}{unit}, allowed: >= -?[0-9.]+ and <= [0-9.]+{unit}$"
+    ):
         reflex(**{name: value})
 
 
 def test_a_table_that_cannot_be_meant_is_refused():
     table = [[0.0, 0.0], [0.0, float("nan")], [0.0, 0.0]]
-    with pytest.raises(ValueError, match=r"^x_reflex: got nan m in place 2, 2, allowed: >= -0\.2 and <= 0\.2 m$"):
+    with pytest.raises(
+        ValueError, match=r"^x_reflex: got nan m in place 2, 2, allowed: >= -0\.2 and <= 0\.2 m$"
+    ):
         reflex(x_reflex=table)
 
 
@@ -741,7 +747,9 @@ def test_a_wrong_shape_is_refused(monkeypatch, name, value, allowed):
 
 @pytest.mark.parametrize("value", [-1e-3, np.nan])
 def test_rearming_takes_no_negative_time(value):
-    with pytest.raises(ValueError, match=rf"^rearm_time: got {value:g} s, allowed: >= 0 and <= 600 s or infinite$"):
+    with pytest.raises(
+        ValueError, match=rf"^rearm_time: got {value:g} s, allowed: >= 0 and <= 600 s or infinite$"
+    ):
         reflex(rearm_time=value)
     for fine in (0.0, np.inf):
         assert float(reflex(rearm_time=fine).rearm_time) == fine

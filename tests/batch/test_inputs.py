@@ -6,6 +6,7 @@ import polars as pl
 import pytest
 
 from jaxbiped import adapt, planner, robot, sim
+from jaxbiped.adapt import tunables
 from jaxbiped.batch import INPUTS, Experiment, grid, height_column, inputs, scenarios_of
 
 
@@ -61,7 +62,7 @@ WHERE = {
 @pytest.mark.parametrize("name", list(INPUTS))
 def test_every_column_has_its_place_and_touches_nothing_else(name):
     one = INPUTS[name]
-    value = one.low + 0.3 * (min(one.high, 100.0) - one.low)
+    value = one.range.low + 0.3 * (min(one.range.high, 100.0) - one.range.low)
     assert value != one.default
     got, before = one_row(**{name: value}, seed=0), one_row(friction=0.8, seed=0)
     np.testing.assert_allclose(WHERE[name](got), value, rtol=1e-6)
@@ -95,13 +96,13 @@ def test_every_scenario_has_a_seed_of_its_own_and_keeps_it():
 
 
 BAD_TABLES = [
-    ({"load_kg": [-1.0]}, "load_kg: got -1"),
-    ({"load_kg": [float("nan")]}, "load_kg: got nan"),
-    ({"load_kg": [1e9]}, "allowed: 0 to 200"),
+    ({"load_kg": [-1.0]}, "load_kg, row 0: got -1 kg, allowed: >= 0 and <= 200 kg"),
+    ({"load_kg": [float("nan")]}, "load_kg, row 0: got nan"),
+    ({"load_kg": [1e9]}, "allowed: >= 0 and <= 200 kg"),
     ({"load_kg": ["five"]}, "allowed: numbers"),
     ({"load_time_s": [-0.1]}, "load_time_s"),
-    ({"friction": [0.0]}, "friction: got 0"),
-    ({"friction": [float("inf")]}, "friction: got inf"),
+    ({"friction": [0.0]}, "friction, row 0: got 0"),
+    ({"friction": [float("inf")]}, "friction, row 0: got inf"),
     ({"sinkage_m": [0.0]}, "sinkage_m"),
     ({"damping_s_per_m": [-1.0]}, "damping_s_per_m"),
     ({"trunk_mass_scale": [0.0]}, "trunk_mass_scale"),
@@ -117,6 +118,12 @@ BAD_TABLES = [
     ({"step_2_height_m": [0.5]}, "step_2_height_m"),
     ({"step_02_height_m": [0.01]}, "got column 'step_02_height_m'"),
     ({"weight": [3.0]}, "got column 'weight'"),
+    ({"frictoin": [0.5]}, "did you mean 'friction'?"),
+    ({"load_kg": ["5"]}, "load_kg: got String, allowed: numbers [kg]"),
+    ({"load_kg": [True]}, "load_kg: got Boolean"),
+    ({"load_kg": [1.0, None]}, "load_kg: got nothing in row 1"),
+    ({"load_kg": [1.0, 2500.0]}, "2500 g is 2.5 kg"),
+    ({"delta_z_m": [1e-60]}, "0 in float32"),
     ({"seed": [1.5]}, "seed"),
     ({"seed": [-1]}, "seed"),
     ({}, "scenarios: got none"),
@@ -151,6 +158,43 @@ def test_bad_experiments_are_refused(surena, changed, says):
     assert says in str(refusal.value)
 
 
+def test_never_more_lanes_than_scenarios(surena):
+    params, gait = surena
+    table = grid(friction=np.linspace(0.5, 0.9, 33).tolist())
+    one = Experiment(params, {"a": adapt.Controller(gait)}, table, batch=65536)
+    assert one.lanes == 33 and len(one.chunks) == 1
+
+
+def test_numpys_whole_numbers_are_whole_numbers(surena):
+    params, gait = surena
+    arms = {"a": adapt.Controller(gait)}
+    one = Experiment(params, arms, grid(friction=0.8), batch=np.int64(4), seed=np.int32(3))
+    assert type(one.batch) is int and type(one.seed) is int
+
+
+def test_obstacle_as_high_as_the_swing_is_refused(surena):
+    """A walk refuses it; a table does too."""
+    params, gait = surena
+    arms = {"off": adapt.Controller(gait)}
+    assert Experiment(params, arms, grid(step_2_height_m=[0.0, 0.09])).rows == 2
+    with pytest.raises(
+        ValueError, match=r"step 2: got an obstacle of 0\.1 m, allowed: below 0\.1 m, the height the swing"
+    ):
+        Experiment(params, arms, grid(step_2_height_m=[0.0, 0.1]))
+    low = tunables.other_gait(params, gait, {"H_max": 0.05})
+    with pytest.raises(ValueError, match="arm 'low': step 2"):  # with its own gait
+        Experiment(params, {**arms, "low": adapt.Controller(low)}, grid(step_2_height_m=[0.09]))
+
+
+@pytest.mark.parametrize("height", [0.01, -0.01])
+def test_obstacle_or_hole_under_a_foot_at_the_start_is_refused(surena, height):
+    params, gait = surena
+    arms = {"off": adapt.Controller(gait)}
+    with pytest.raises(ValueError, match=r"start: got an? \w+ of -?0\.01 m .* under the left foot"):
+        Experiment(params, arms, grid(step_0_height_m=[0.0, height]))
+    assert Experiment(params, arms, grid(step_0_height_m=0.0)).rows == 1  # nothing lies there
+
+
 def test_overlapping_pads_are_refused():
     params = robot.load("elkahlout")
     gait = planner.CosineGait.preset(params, 6)
@@ -171,7 +215,7 @@ def test_room_for_delay_and_noise_follows_from_the_scenarios(surena):
 
 
 @pytest.mark.parametrize(
-    ("rows", "lanes"), [(1, 8), (8, 8), (9, 16), (128, 128), (129, 72), (288, 96), (4096, 128)]
+    ("rows", "lanes"), [(1, 1), (8, 8), (9, 9), (17, 17), (128, 128), (129, 72), (288, 96), (4096, 128)]
 )
 def test_chunks_cover_every_row_once_and_waste_little(surena, rows, lanes):
     params, gait = surena

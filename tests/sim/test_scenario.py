@@ -1,6 +1,7 @@
 """Scenarios are not believed either: ranges, units, obstacles that the swing foot clears, a level start."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from jaxbiped.sim.scenario import (
     pad_under,
     require_clear_start,
     require_swing_clears,
+    swing_height,
 )
 
 FLAT = Scenario.flat()
@@ -40,7 +42,7 @@ def as_users_meet_it(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def walks():
+def walks() -> dict[tuple[str, str], tuple[Any, Any]]:
     return {
         (name, kind): (robot.load(name), gait.preset(robot.load(name), STEPS))
         for name in ("surena3", "elkahlout")
@@ -157,6 +159,7 @@ def test_ranges_are_those_of_scenario_tables():
 def test_obstacles_are_lower_than_the_swing_foot_goes(walks, key, apex):
     biped, gait = walks[key]
     for step in range(STEPS):
+        assert swing_height(gait, step) == pytest.approx(apex, rel=1e-5)
         require_swing_clears(gait, {step: 0.99 * apex})
         for above in (apex, 1.2 * apex):
             message = refusal(require_swing_clears, gait, {0: 0.0, step: above})
@@ -186,7 +189,7 @@ def test_steps_and_heights_that_there_are_not(walks):
 # ---------------------------------------------------------------- a clear start
 
 
-def under(walk, step: int, value: float) -> Terrain:
+def under(walk: tuple[Any, Any], step: int, value: float) -> Terrain:
     lower, upper = pad_under(*walk, step)
     return FLAT.with_rectangle(lower, upper, value).terrain
 
@@ -232,12 +235,13 @@ def test_edges_of_the_starting_stance(walks, key):
 
 
 def test_batches_of_terrain(walks):
-    walk = walks["surena3", "polynomial"]
+    biped, gait = walks["surena3", "polynomial"]
+    walk = biped, gait
     clear, not_clear = (under(walk, step, 0.03) for step in (3, 0))
     batch = jax.tree.map(lambda *leaves: np.stack(leaves), clear, clear, not_clear, clear)
-    assert refusal(require_clear_start, *walk, batch).startswith(
+    assert refusal(require_clear_start, biped, gait, batch).startswith(
         "scenario 2: start: got an obstacle of 0.03 m"
     )
-    require_clear_start(*walk, jax.tree.map(lambda *leaves: np.stack(leaves), clear, clear))
-    require_clear_start(*walk, Scenario.flat(0).terrain)
-    jax.jit(lambda terrain: require_clear_start(*walk, terrain) or terrain.height)(not_clear)
+    require_clear_start(biped, gait, jax.tree.map(lambda *leaves: np.stack(leaves), clear, clear))
+    require_clear_start(biped, gait, Scenario.flat(0).terrain)
+    jax.jit(lambda terrain: require_clear_start(biped, gait, terrain) or terrain.height)(not_clear)
