@@ -17,6 +17,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -72,7 +73,7 @@ def options() -> dict[str, Any]:
 
 def _is_tracing() -> bool:
     """Whether this is inside a function that JAX is tracing: there even a constant is a tracer."""
-    return isinstance(jnp.zeros(()), jax.core.Tracer)
+    return isinstance(jnp.zeros(()), Tracer)
 
 
 def use_threads(count: int = 1) -> None:

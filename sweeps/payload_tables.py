@@ -13,7 +13,7 @@ import polars as pl
 
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
-from jaxbiped.report import grids, overview, page
+from jaxbiped.report import grids, overview, page, tables
 
 LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
 """[kg]"""
@@ -60,11 +60,11 @@ def main() -> None:
     took, start = time.perf_counter() - began, overview.clock_start(one)
     for arm, number in overview.THESIS.items():
         walks = table.filter(pl.col("arm") == arm)
-        print(grids.beside_thesis(walks, number, start))
+        print(tables.beside_thesis(walks, number, start))
         write_csv(walks, start, arguments.out / f"table_4_{number}.csv")
     for arm, agreed in overview.agreements(one, table).items():
         print(overview.agreement_in_words(arm, agreed))
-    marks = {arm: grids.thesis_table(number) for arm, number in overview.THESIS.items()}
+    marks = {arm: tables.thesis_table(number) for arm, number in overview.THESIS.items()}
     for name, value in (("success", None), ("pitch", "peak_pitch_deg")):
         figure = grids.heat_map(
             table, "load_kg", "load_time_s", f"elkahlout: {name}", marks, value, offset_s=start

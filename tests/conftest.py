@@ -39,6 +39,12 @@ def _few_compiled_functions() -> Iterator[None]:
         jax.clear_caches()
 
 
+@pytest.fixture(autouse=True)
+def _without_words_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling takes long or short: what is said meanwhile is left to the tests of `batch.progress`."""
+    monkeypatch.setattr("jaxbiped.batch.progress.FIRST_S", 1e9)
+
+
 @pytest.fixture
 def x64() -> Iterator[None]:
     """The test computes in float64; every other test in JAX's default, float32."""

@@ -29,7 +29,11 @@ LEFT_OF: dict[str, set[str]] = {
     "report": {"robot", "kinematics", "planner", "adapt", "sim", "score", "batch"},
     "commands": {"robot", "kinematics", "planner", "adapt", "sim", "score", "tune", "batch", "report"},
 }
-OPEN_TO_ALL = {"files", "checked", "runtime"}  # leftmost: whole files, checked input, how JAX runs; they see no room
+OPEN_TO_ALL = {
+    "files",
+    "checked",
+    "runtime",
+}  # leftmost: whole files, checked input, how JAX runs; they see no room
 DOORS = {"__init__", "__main__", "cli"}  # the package's own front: may import any room
 MAY_IMPORT_MUJOCO = {"sim", "report"}
 NEVER_SEE_A_SCENARIO = {"planner", "adapt"}

@@ -44,9 +44,9 @@ class Experiment:
     """Of the simulation; noise and delay are switched on where a scenario has some."""
     duration: float | None = None
     """How long every walk is simulated [s]; None: as long as the arm needs, see `durations`."""
-    seed: int = 0
+    seed: int | np.integer = 0
     """Of the sensors' noise."""
-    batch: int | None = None
+    batch: int | np.integer | None = None
     """Walks in a chunk; None: up to MAX_LANES."""
 
     judge: InitVar[bool] = True
@@ -135,7 +135,7 @@ class Experiment:
         """
         n = self.table.height
         if self.batch is not None:
-            return min(self.batch, n)
+            return min(int(self.batch), n)
         chunks = -(-n // MAX_LANES)
         return min(-(-n // (chunks * LANE_STEP)) * LANE_STEP, n)
 

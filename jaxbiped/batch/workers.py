@@ -226,7 +226,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
 
 
 @contextlib.contextmanager
-def _main_guard(environment: dict[str, str]) -> Generator[None, None, None]:
+def _main_guard(environment: dict[str, Any]) -> Generator[None, None, None]:
     """Say in one line that a script has no `if __name__ == "__main__":`, instead of all that comes of it."""
     with tempfile.TemporaryDirectory(prefix="jaxbiped-") as folder:
         word = Path(folder) / "unguarded"

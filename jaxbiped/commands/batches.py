@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import polars as pl
 
@@ -30,15 +30,22 @@ class WorkersLost(RuntimeError):
     """The workers are gone; what they finished is kept."""
 
 
+@runtime_checkable
 class Command(Protocol):
     """Arguments that every command has that runs a batch."""
 
-    out: Path
-    workers: int | None
-    scheduler: str | None
-    batch: int | None
-    seed: int
-    overwrite: bool
+    @property
+    def out(self) -> Path: ...  # noqa: D102
+    @property
+    def workers(self) -> int | None: ...  # noqa: D102
+    @property
+    def scheduler(self) -> str | None: ...  # noqa: D102
+    @property
+    def batch(self) -> int | None: ...  # noqa: D102
+    @property
+    def seed(self) -> int: ...  # noqa: D102
+    @property
+    def overwrite(self) -> bool: ...  # noqa: D102
 
 
 def check(command: Command) -> None:

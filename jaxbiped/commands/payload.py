@@ -108,10 +108,10 @@ def cells(table: pl.DataFrame, start: float) -> list[dict[str, Any]]:
 
 
 def _ticks(table: pl.DataFrame, start: float) -> list[str]:
-    from jaxbiped.report import grids
+    from jaxbiped.report import tables
 
     by_arm = table.partition_by("arm", maintain_order=True)
-    return [grids.tick_table(walks, start) for walks in by_arm if (walks["load_kg"] > 0.0).any()]
+    return [tables.tick_table(walks, start) for walks in by_arm if (walks["load_kg"] > 0.0).any()]
 
 
 def _draw(table: pl.DataFrame, name: str, start: float) -> dict[str, Any]:

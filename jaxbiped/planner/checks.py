@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbiped import checked
+from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.targets import Gait
@@ -65,7 +65,7 @@ def _failures(status: np.ndarray) -> Iterable[tuple[int, int]]:
     return ((int(i), int(side)) for i, side in np.argwhere(status != OK))
 
 
-@jax.jit
+@runtime.jit
 def _statuses(robot: RobotParams, gait: Any, times: Any) -> Any:
     def one(t: Any) -> Any:
         task = gait.task(t)

@@ -1,23 +1,39 @@
-"""Figures of plans and of simulated walks. Runs no simulation; needs matplotlib (`pip install 'jaxbiped[viz]'`)."""
+"""Figures, tables and pages of plans and of simulated walks. Runs no simulation.
 
-from jaxbiped.report.figures import (
-    feasibility_page,
-    feet,
-    feet_in_body,
-    pelvis,
-    save,
-    zmp,
-)
-from jaxbiped.report.reflexes import (
-    force_and_trigger,
-    payload_events,
-    pitch,
-    references,
-    reflex_close_ups,
-    settling_zmp,
-)
-from jaxbiped.report.traces import Commanded, Felt, commanded, felt, measured_task, nominal, thin
-from jaxbiped.report.walks import measured_zmp, modifications, tilt_and_forces
+What draws needs matplotlib (`pip install 'jaxbiped[viz]'`) and is imported when it is first asked for; `tables`,
+`quantities` and `traces` do without.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxbiped.report.figures import feasibility_page, feet, feet_in_body, pelvis, save, zmp
+    from jaxbiped.report.reflexes import (
+        force_and_trigger,
+        payload_events,
+        pitch,
+        references,
+        reflex_close_ups,
+        settling_zmp,
+    )
+    from jaxbiped.report.traces import Commanded, Felt, commanded, felt, measured_task, nominal, thin
+    from jaxbiped.report.walks import measured_zmp, modifications, tilt_and_forces
+
+_PLACES = {
+    "figures": ("feasibility_page", "feet", "feet_in_body", "pelvis", "save", "zmp"),
+    "reflexes": (
+        "force_and_trigger",
+        "payload_events",
+        "pitch",
+        "references",
+        "reflex_close_ups",
+        "settling_zmp",
+    ),
+    "traces": ("Commanded", "Felt", "commanded", "felt", "measured_task", "nominal", "thin"),
+    "walks": ("measured_zmp", "modifications", "tilt_and_forces"),
+}
+_PLACE = {name: place for place, names in _PLACES.items() for name in names}
 
 __all__ = [
     "Commanded",
@@ -43,3 +59,10 @@ __all__ = [
     "tilt_and_forces",
     "zmp",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """A figure, from its module."""
+    if name not in _PLACE:
+        raise AttributeError(f"module 'jaxbiped.report' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"jaxbiped.report.{_PLACE[name]}"), name)

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from jaxbiped import files
+from jaxbiped import files, runtime
 from jaxbiped.kinematics import leg
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import walked_rows
@@ -60,7 +59,7 @@ class Profile(NamedTuple):
     """Smallest height in the band (k,) [m]."""
 
 
-@eqx.filter_jit
+@runtime.jit
 def skeleton(robot: RobotParams, qpos: Float[Array, "n 19"]) -> Float[Array, "n 2 8 3"]:
     """Points of each leg in the world [m]: pelvis, hip, knee, ankle, then the sole's corners."""
 

@@ -15,7 +15,7 @@ import polars as pl
 from jaxbiped import robot
 from jaxbiped.batch import NEVER, Experiment, steps_of, summary
 from jaxbiped.planner import CosineGait
-from jaxbiped.report import grids, quantities
+from jaxbiped.report import grids, quantities, tables
 from jaxbiped.report.page import Picture, Section
 
 THESIS = {"off": 1, "original": 2, "modified": 3}
@@ -107,19 +107,19 @@ def _numbers_of_the_thesis() -> list[np.ndarray]:
     return _numbers(robot.load("elkahlout"))
 
 
-def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, grids.Agreement]:
+def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, tables.Agreement]:
     """Of every arm that answers to a table of the thesis and has a walk: in how many cells both say the same."""
     if not is_thesis_experiment(experiment):
         return {}
     start, walked = clock_start(experiment), summary.arms(table)
     return {
-        arm: grids.agreement(table.filter(pl.col("arm") == arm), number, start)
+        arm: tables.agreement(table.filter(pl.col("arm") == arm), number, start)
         for arm, number in THESIS.items()
         if arm in walked
     }
 
 
-def agreement_in_words(arm: str, one: grids.Agreement) -> str:
+def agreement_in_words(arm: str, one: tables.Agreement) -> str:
     """One line; the first table is what the robot's assumed numbers were calibrated on."""
     kind = "calibration" if THESIS[arm] == 1 else "prediction"
     which = f"Table 4.{THESIS[arm]} ({kind}), arm {arm}"
@@ -194,12 +194,12 @@ def _loads(experiment: Experiment, table: pl.DataFrame, start: float) -> Section
     for walks in table.partition_by("arm", maintain_order=True):
         arm = walks["arm"][0]
         if arm in agreed and agreed[arm].compared:
-            texts.append(grids.beside_thesis(walks, THESIS[arm], start))
+            texts.append(tables.beside_thesis(walks, THESIS[arm], start))
         else:
-            texts.append(grids.tick_table(walks, start))
+            texts.append(tables.tick_table(walks, start))
     words += [f"{agreement_in_words(arm, one)}." for arm, one in agreed.items()]
     if any(one.compared for one in agreed.values()):
-        marks = {arm: grids.thesis_table(THESIS[arm]) for arm in agreed}
+        marks = {arm: tables.thesis_table(THESIS[arm]) for arm in agreed}
         words.append("Cells that differ from the printed table are outlined.")
     offset = start or None  # a gait whose clock starts with the walk has no clock of its own
     axes = {"x": "load_kg", "y": "load_time_s", "offset_s": offset}

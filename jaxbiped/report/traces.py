@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbiped import runtime
 from jaxbiped.adapt import PayloadReflex
 from jaxbiped.kinematics import dynamics
 from jaxbiped.planner import PLANNED_STEP, RECOVERY_STEP, REFLEX_STEP, Targets, TaskSpace, support
@@ -42,7 +43,7 @@ class Commanded(eqx.Module):
     """Upper corner of the support polygon's bounding box [m]."""
 
 
-@eqx.filter_jit
+@runtime.jit
 def commanded(robot: RobotParams, trace: Any) -> Commanded:
     """ZMP and support of the commanded motion at every sample of a trace; where no stage acts, those of the plan."""
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from jaxbiped.batch import NEVER, summary
-from jaxbiped.report import figures, grids
+from jaxbiped.report import figures, grids, tables
 
 T_INI = float(np.float32(1.2))
 ARMS = {"none": 1, "original": 2, "modified": 3}
@@ -24,7 +24,7 @@ FLIPPED = {("original", 1.0, 5.0), ("original", 3.1, 5.0), ("modified", 0.1, 15.
 
 
 def as_printed(arm: str) -> dict[tuple[float, float], bool]:
-    return {(t, load): s for load, t, s in grids.thesis_table(ARMS[arm]).iter_rows()}
+    return {(t, load): s for load, t, s in tables.thesis_table(ARMS[arm]).iter_rows()}
 
 
 def walk(arm: str, time: float, load: float, success: bool, **more) -> dict:
@@ -70,7 +70,7 @@ def outlined(figure: Figure, arm: str) -> set[tuple[int, int]]:
 
 
 def test_thesis_tables_are_as_printed():
-    sizes = {number: grids.thesis_table(number) for number in grids.THESIS_TABLES}
+    sizes = {number: tables.thesis_table(number) for number in tables.THESIS_TABLES}
     assert [(t.height, t["success"].sum()) for t in sizes.values()] == [(288, 48), (282, 268), (288, 284)]
     for table in sizes.values():
         assert table.schema == {"load_kg": pl.Float64, "time_s": pl.Float64, "success": pl.Boolean}
@@ -80,50 +80,50 @@ def test_thesis_tables_are_as_printed():
     assert times.count(3.2) == 2 and 3.1 not in times and 4.1 not in times and times == sorted(times)
     assert as_printed("original")[1.6, 12.5] and not as_printed("original")[1.6, 15.0]
     with pytest.raises(ValueError, match=r"4\.4"):
-        grids.thesis_table(4)
+        tables.thesis_table(4)
 
 
 def test_tick_table_is_the_thesis_form(table):
-    lines = grids.tick_table(only(table, "none"), T_INI).splitlines()
+    lines = tables.tick_table(only(table, "none"), T_INI).splitlines()
     assert lines[0] == "arm none"
     assert lines[1].split() == ["load", "[kg]", "2.5", "5.0", "7.5", "10.0", "12.5", "15.0"]
     assert len(lines) == 3 + 48
     for k, line in enumerate(lines[3:], 1):
-        assert line.split() == [f"{0.1 * k:.1f}", grids.TICK, *5 * [grids.CROSS]]
+        assert line.split() == [f"{0.1 * k:.1f}", tables.TICK, *5 * [tables.CROSS]]
 
 
 def test_tick_table_shows_shares_and_gaps():
     rows = [walk("a", 0.1, 5.0, i < 3) for i in range(4)] + [walk("a", 0.25, 10.0, True)]
-    lines = grids.tick_table(pl.DataFrame(rows), T_INI).splitlines()
-    assert lines[3].split() == ["0.1", "75%", grids.NOT_RUN]
-    assert lines[4].split() == ["0.25", grids.NOT_RUN, grids.TICK]
-    assert lines[3].index("75%") + 2 == lines[1].index("5.0") + 2 == lines[4].index(grids.NOT_RUN)
+    lines = tables.tick_table(pl.DataFrame(rows), T_INI).splitlines()
+    assert lines[3].split() == ["0.1", "75%", tables.NOT_RUN]
+    assert lines[4].split() == ["0.25", tables.NOT_RUN, tables.TICK]
+    assert lines[3].index("75%") + 2 == lines[1].index("5.0") + 2 == lines[4].index(tables.NOT_RUN)
 
 
 def test_tables_of_text_are_of_one_arm(table):
     for write in (
-        grids.tick_table,
-        lambda t, o: grids.beside_thesis(t, 2, o),
-        lambda t, o: grids.agreement(t, 2, o),
+        tables.tick_table,
+        lambda t, o: tables.beside_thesis(t, 2, o),
+        lambda t, o: tables.agreement(t, 2, o),
     ):
         with pytest.raises(ValueError, match="one arm"):
             write(table, T_INI)
 
 
 def test_beside_thesis_marks_what_differs(table):
-    lines = grids.beside_thesis(only(table, "original"), 2, T_INI).splitlines()
+    lines = tables.beside_thesis(only(table, "original"), 2, T_INI).splitlines()
     assert "Table 4.2" in lines[0] and "prediction" in lines[0] and "275 of 276" in lines[0]
     rows = [line for line in lines[4:] if line]
     assert len(rows) == 49  # 48 times of ours, one of which was printed twice
-    starred = [line for line in rows if grids.DIFFERS in line]
+    starred = [line for line in rows if tables.DIFFERS in line]
     assert len(starred) == 1 and starred[0].split()[0] == "1.0"
-    assert starred[0].split()[2] == grids.CROSS + grids.DIFFERS
+    assert starred[0].split()[2] == tables.CROSS + tables.DIFFERS
     alone = next(line for line in rows if line.split()[0] == "3.1")
-    assert alone.split("|")[0].split()[2] == grids.CROSS
-    assert alone.split("|")[1].split() == 6 * [grids.NOT_RUN]
+    assert alone.split("|")[0].split()[2] == tables.CROSS
+    assert alone.split("|")[1].split() == 6 * [tables.NOT_RUN]
     assert sum(line.split()[0] == "3.2" for line in rows) == 2
     assert len({line.index("|") for line in rows}) == 1
-    assert "calibration" in grids.beside_thesis(only(table, "none"), 1, T_INI).splitlines()[0]
+    assert "calibration" in tables.beside_thesis(only(table, "none"), 1, T_INI).splitlines()[0]
     assert "not run" not in lines[0]
 
 
@@ -131,50 +131,50 @@ def test_beside_thesis_shows_what_was_run_and_counts_what_was_not():
     """Two times and two loads, one of each not in the thesis, and a load that never comes."""
     rows = [walk("a", time, load, load < 4.0) for time in (0.3, 0.35) for load in (3.0, 5.0)]
     rows.append(walk("a", 0.0, 7.5, True) | {"load_time_s": NEVER})
-    lines = grids.beside_thesis(pl.DataFrame(rows), 2, T_INI).splitlines()
+    lines = tables.beside_thesis(pl.DataFrame(rows), 2, T_INI).splitlines()
     assert "1 cells agree" in lines[0] and "275 of the thesis' 276 cells were not run" in lines[0]
     assert lines[2].split() == ["load", "[kg]", "3.0", "5.0", "|", "3.0", "5.0"]
     assert [line.split() for line in lines[4:]] == [
-        ["0.3", grids.TICK, grids.CROSS + said_of_5_kg(), "|", grids.NOT_RUN, printed_of_5_kg()],
-        ["0.35", grids.TICK, grids.CROSS, "|", grids.NOT_RUN, grids.NOT_RUN],
+        ["0.3", tables.TICK, tables.CROSS + said_of_5_kg(), "|", tables.NOT_RUN, printed_of_5_kg()],
+        ["0.35", tables.TICK, tables.CROSS, "|", tables.NOT_RUN, tables.NOT_RUN],
     ]
 
 
 def printed_of_5_kg() -> str:
-    return grids.TICK if as_printed("original")[0.3, 5.0] else grids.CROSS
+    return tables.TICK if as_printed("original")[0.3, 5.0] else tables.CROSS
 
 
 def said_of_5_kg() -> str:
-    return grids.DIFFERS if as_printed("original")[0.3, 5.0] else ""
+    return tables.DIFFERS if as_printed("original")[0.3, 5.0] else ""
 
 
 def test_beside_thesis_says_in_one_line_that_nothing_compares():
-    said = grids.beside_thesis(pl.DataFrame([walk("a", 0.35, 5.0, True)]), 3, T_INI)
+    said = tables.beside_thesis(pl.DataFrame([walk("a", 0.35, 5.0, True)]), 3, T_INI)
     assert said == "arm a: no cell of Table 4.3, modified reflex (a prediction), was run"
 
 
 def test_a_load_that_never_comes_is_not_in_the_tables():
     rows = [walk("a", 0.1, 5.0, True), walk("a", 0.0, 5.0, False) | {"load_time_s": NEVER}]
-    assert len(grids.tick_table(pl.DataFrame(rows), T_INI).splitlines()) == 4
+    assert len(tables.tick_table(pl.DataFrame(rows), T_INI).splitlines()) == 4
 
 
 def test_agreement_counts_by_load(table):
-    same = grids.agreement(only(table, "none"), 1, T_INI)
+    same = tables.agreement(only(table, "none"), 1, T_INI)
     assert same[:2] == (288, 288)
     assert same.by_load["agree"].to_list() == 6 * [48]
-    other = grids.agreement(only(table, "original"), 2, T_INI)
+    other = tables.agreement(only(table, "original"), 2, T_INI)
     assert other[:2] == (275, 276)
     assert other.by_load.rows() == [(load, 45 if load == 5.0 else 46, 46) for load in LOADS]
-    nothing = grids.agreement(only(table, "none"), 1, T_INI + 0.05)
+    nothing = tables.agreement(only(table, "none"), 1, T_INI + 0.05)
     assert nothing[:2] == (0, 0) and nothing.by_load.is_empty()
     # every cell of the calibration against the prediction: what succeeds there falls here
-    crossed = grids.agreement(only(table, "none"), 3, T_INI)
+    crossed = tables.agreement(only(table, "none"), 3, T_INI)
     assert crossed[:2] == (48 + 4, 288)
 
 
 def test_agreement_goes_by_the_majority():
     def agrees(wins: int) -> int:
-        return grids.agreement(
+        return tables.agreement(
             pl.DataFrame([walk("a", 0.1, 2.5, i < wins) for i in range(4)]), 1, T_INI
         ).agree
 
@@ -183,7 +183,7 @@ def test_agreement_goes_by_the_majority():
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_heat_map_shows_every_cell_and_outlines_what_differs(table, turned):
-    marks = {arm: grids.thesis_table(number) for arm, number in ARMS.items() if arm != "modified"}
+    marks = {arm: tables.thesis_table(number) for arm, number in ARMS.items() if arm != "modified"}
     sides = ("load_kg", "load_time_s") if turned else ("load_time_s", "load_kg")
     loaded = table.filter(pl.col("load_kg") > 0)
     figure = grids.heat_map(loaded, *sides, "Payloads", marks, offset_s=T_INI)
@@ -203,13 +203,13 @@ def test_heat_map_shows_every_cell_and_outlines_what_differs(table, turned):
 
 def test_heat_map_takes_one_table_for_all_arms(table):
     loaded = table.filter(pl.col("load_kg") > 0)
-    figure = grids.heat_map(loaded, "load_time_s", "load_kg", "", grids.thesis_table(3), offset_s=T_INI)
+    figure = grids.heat_map(loaded, "load_time_s", "load_kg", "", tables.thesis_table(3), offset_s=T_INI)
     assert outlined(figure, "modified") == {(0, 5)}
     assert len(outlined(figure, "none")) == 284 - 48
 
 
 def test_heat_map_needs_the_thesis_axes_for_marks(table):
-    printed = grids.thesis_table(1)
+    printed = tables.thesis_table(1)
     for x, y, offset in (("load_time_s", "peak_pitch_deg", T_INI), ("load_time_s", "load_kg", None)):
         with pytest.raises(ValueError, match="marks need"):
             grids.heat_map(table, x, y, "", printed, offset_s=offset)
@@ -437,7 +437,7 @@ def test_nothing_is_cut_and_nothing_warns(table, obstacles):
     limits = summary.frontier(obstacles, "step_2_height_m", "friction", signed=True)
     draw: list[Callable[[], Figure]] = [
         lambda: grids.heat_map(
-            table, "load_time_s", "load_kg", "Wide", grids.thesis_table(2), offset_s=T_INI
+            table, "load_time_s", "load_kg", "Wide", tables.thesis_table(2), offset_s=T_INI
         ),
         lambda: grids.heat_map(table, "load_kg", "load_time_s", "Tall", value="peak_pitch_deg"),
         lambda: grids.heat_map(obstacles, "step_2_height_m", "friction", "Small"),

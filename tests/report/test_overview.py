@@ -16,7 +16,7 @@ import pytest
 
 from jaxbiped import batch, planner, robot
 from jaxbiped.adapt import Controller
-from jaxbiped.report import grids, overview, page
+from jaxbiped.report import overview, page, tables
 
 ARMS = ("off", "original", "modified")
 T_INI = float(np.float32(1.2))
@@ -324,4 +324,4 @@ def test_causes_are_told_in_units():
 
 
 def test_thesis_tables_are_those_of_the_arms():
-    assert set(overview.THESIS.values()) == set(grids.THESIS_TABLES)
+    assert set(overview.THESIS.values()) == set(tables.THESIS_TABLES)

@@ -41,6 +41,7 @@ def walk(
         peak_touchdown_impulse=jnp.zeros(2),
         zmp_margin=jnp.array(0.01),
         reach_margin=jnp.array(0.01),
+        support_time=jnp.array(end),
         touch_time=jnp.zeros(2),
         touch_impulse=jnp.zeros(2),
         anchor=jnp.zeros((2, 2)),
