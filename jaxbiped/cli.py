@@ -45,6 +45,8 @@ COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
 }
 """The record of a command's arguments, and what carries it out."""
 _HELP = ("-h", "--help")
+_TITLES = ("Missing argument", "Value error", "Required options", "Unrecognized options")
+"""Of tyro's boxes of complaints."""
 _WORDS = {"INT": "a whole number", "FLOAT": "a number", "PATH": "a path", "STR": "a text"}
 
 
@@ -120,13 +122,7 @@ def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
 
 def _in_one_line(name: str, box: str) -> str:
     """What tyro says in a box, in the words of the other refusals."""
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", box)
-    lines = [
-        line.strip(" │") for line in plain.splitlines() if not re.fullmatch(r"[╭╰│].*[╮╯]", line.strip())
-    ]
-    ruler = next((i for i, line in enumerate(lines) if set(line) == {"─"}), len(lines))
-    said = " ".join(line for line in lines[:ruler] if line)
-    told = [line for line in lines[ruler + 1 :] if line]
+    said, told = _parts(re.sub(r"\x1b\[[0-9;]*m", "", box))
     if match := re.match(r"Missing from .*?: (.*)", said):
         option, *words = match[1].removesuffix(" (required)").split()
         text = " ".join(words[1:] if words and words[0].isupper() else words)
@@ -142,6 +138,20 @@ def _in_one_line(name: str, box: str) -> str:
     if match := re.match(r"Unrecognized options: (.*)", said):
         return f"{name}: got '{match[1]}' beyond its arguments, allowed: what jaxbiped {name} --help lists"
     return said
+
+
+def _parts(box: str) -> tuple[str, list[str]]:
+    """The complaint in a box of tyro's, and the lines of help below it; boxes differ with the terminal."""
+    parts: list[list[str]] = [[]]
+    for line in (line.strip(" │|") for line in box.splitlines()):
+        if re.fullmatch(r"[╭╰+].*[╮╯+]", line) or line in _TITLES:
+            continue
+        if line and set(line) <= set("─-"):
+            parts.append([])
+        elif line:
+            parts[-1].append(line)
+    said, *told = [part for part in parts if part] or [[]]
+    return " ".join(said), told[0] if told else []
 
 
 if __name__ == "__main__":

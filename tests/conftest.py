@@ -25,6 +25,7 @@ def _keep_compiled_kernels() -> None:
 
 _keep_compiled_kernels()
 
+from made_up import walk_chunk  # noqa: E402  (after the cache is set up)
 
 MOST_MAPS = 20_000
 """Memory maps of a process at which compiled functions are dropped; Linux allows 65,530 (vm.max_map_count)."""
@@ -43,6 +44,19 @@ def _few_compiled_functions() -> Iterator[None]:
 def _without_words_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiling takes long or short: what is said meanwhile is left to the tests of `batch.progress`."""
     monkeypatch.setattr("jaxbiped.batch.progress.FIRST_S", 1e9)
+
+
+@pytest.fixture
+def made_up(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Chunks are made up instead of simulated in this process; the numbers of those that were."""
+    numbers: list[int] = []
+
+    def walk(one, chunk):
+        numbers.append(chunk.number)
+        return walk_chunk(one, chunk)
+
+    monkeypatch.setattr("jaxbiped.batch.workers.walk_chunk", walk)
+    return numbers
 
 
 @pytest.fixture

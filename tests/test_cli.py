@@ -147,15 +147,6 @@ def test_help_is_no_error(capsys, args):
     assert "usage: jaxbiped" in said and complained == ""
 
 
-def test_without_matplotlib_the_demo_says_what_to_install(capsys, monkeypatch, tmp_path):
-    def missing():
-        raise ImportError("figures need matplotlib: pip install 'jaxbiped[viz]'")
-
-    monkeypatch.setattr(demo, "figures_module", missing)
-    assert cli.main(["demo", "--out", str(tmp_path)]) == cli.FAILED
-    assert capsys.readouterr().err == "jaxbiped: figures need matplotlib: pip install 'jaxbiped[viz]'\n"
-
-
 def test_cache_stays_where_the_user_put_it():
     before = jax.config.values["jax_compilation_cache_dir"]
     assert before is not None

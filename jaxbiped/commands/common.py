@@ -77,10 +77,16 @@ def refusing(out: Path, allowed: str) -> Iterator[None]:
         raise InputError(f"--out: got '{place}' ({error.strerror or error}), allowed: {allowed}") from None
 
 
-def require_folder(out: Path) -> None:
-    """Refuse what cannot become a folder to write into; nothing is touched."""
+def require_folder(out: Path, given: Path | None = None) -> None:
+    """Refuse what cannot become a folder to write into; nothing is touched.
+
+    Args:
+        out: the folder.
+        given: the file in it that --out names, if it names a file.
+    """
     if why := files.why_not_writable(out):
-        raise InputError(f"--out: got '{out}' ({why}), allowed: a folder that can be made and written")
+        what = "a folder" if given is None else "a file in a folder"
+        raise InputError(f"--out: got '{given or out}' ({why}), allowed: {what} that can be made and written")
 
 
 def require_free(out: Path, names: Iterable[str], ours: bool, overwrite: bool) -> None:

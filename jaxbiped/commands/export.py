@@ -27,7 +27,7 @@ def run(command: Export) -> dict[str, Any]:
     params, out = load_robot("--robot", command.robot), command.out
     if out.suffix != ".xml" or out.is_dir():
         raise InputError(f"--out: got '{out}', allowed: a file name that ends in .xml")
-    require_folder(out.parent)
+    require_folder(out.parent, out)
     text = sim.mjcf(params)
     if out.exists() and out.read_bytes() != text.encode() and not command.overwrite:
         raise InputError(f"--out: got '{out}', which is there already, allowed: another file, or --overwrite")

@@ -45,7 +45,7 @@ def run(command: Report) -> dict[str, Any]:
     out = command.out or folder / "report.html"
     if out.suffix != ".html":
         raise InputError(f"--out: got '{out}', allowed: a file name that ends in .html")
-    require_folder(out.parent)
+    require_folder(out.parent, out)
     key = table_key(experiment)
     if out.exists() and not command.overwrite and not is_of(out, key):
         raise InputError(

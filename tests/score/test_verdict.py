@@ -12,7 +12,7 @@ from jaxbiped import robot, score, sim
 from jaxbiped.adapt import Controller, ControllerState, Landing, PayloadReflex
 from jaxbiped.adapt.payload import REFLEX, SETTLE, WALK
 from jaxbiped.planner import CosineGait
-from jaxbiped.sim.statistics import FELL, NONFINITE, OK
+from jaxbiped.sim.statistics import AIRBORNE, FELL, NONFINITE, OK
 
 END = 16.8
 UNFINISHED = score.UNFINISHED
@@ -73,9 +73,20 @@ def flat(mass: float = 0.0, time: float = 1e6) -> sim.Scenario:
 
 
 def judged(walk: sim.Walk, gait: CosineGait, scenario: sim.Scenario) -> tuple[int, float]:
+    """OK for a success, else the status; the status itself always says what the robot did."""
     verdict = score.judge(walk, gait, scenario)
-    assert bool(verdict.success) == (int(verdict.status) == OK)
-    return int(verdict.status), float(verdict.until)
+    success, did = bool(verdict.success), int(walk.statistics.status)
+    assert int(verdict.status) == (did if did != OK else OK if success else UNFINISHED)
+    return OK if success else int(verdict.status), float(verdict.until)
+
+
+@pytest.mark.parametrize("status", [FELL, NONFINITE, AIRBORNE])
+def test_what_the_robot_did_after_its_success_stands_in_its_status(gait, status):
+    """By elkahlout's rule the walk is a success after two whole steps, and the robot came to grief all the same."""
+    verdict = score.judge(walk(16.0, status), gait, flat(2.5, 0.0))
+    assert bool(verdict.success) and int(verdict.status) == status
+    verdict = score.judge(walk(3.0, status), gait, flat(2.5, 0.0))
+    assert not bool(verdict.success) and int(verdict.status) == status
 
 
 @pytest.mark.parametrize(

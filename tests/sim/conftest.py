@@ -11,6 +11,8 @@ from jaxbiped.sim import Scenario
 from jaxbiped.sim.rollout import Sample, Walk
 from jaxbiped.sim.statistics import Statistics
 
+LIFT = (0.0, 0.0, 5000.0)
+"""Six times the robot's weight, upward [N]."""
 SHOVE, LEAN = (0.0, 300.0, 0.0), (20.0, 10.0, 0.0)
 """Forces [N] that topple a walking robot, and that a standing one must bear."""
 
@@ -28,7 +30,7 @@ class Walks(NamedTuple):
         return lane(self.batch.statistics, LANES.index(name))
 
 
-LANES = ("walk", "without feed-forward", "stand", "topple", "stand and bear", "no gain")
+LANES = ("walk", "without feed-forward", "stand", "topple", "stand and bear", "no gain", "carried off", "hop")
 
 
 @pytest.fixture(scope="session", params=["surena3", "elkahlout"])
@@ -43,5 +45,7 @@ def walks(request: pytest.FixtureRequest) -> Walks:
         (one.gait, flat.with_push(SHOVE, 3.0, 0.5)),
         (still, flat.with_push(LEAN, 1.0, 6.0)),
         (one.gait, eqx.tree_at(lambda s: s.errors.gain_scale, flat, broken)),
+        (still, flat.with_push(LIFT, 1.0, 8.0)),
+        (still, flat.with_push(LIFT, 1.0, 0.03)),
     ]
     return Walks(one, run(one, cases, [name != "without feed-forward" for name in LANES]))

@@ -145,3 +145,20 @@ def test_nothing_recompiles_and_a_batch_is_its_single_walks(walks):
     np.testing.assert_allclose(trace.qpos, walks.trace("walk").qpos, atol=1e-4)
     np.testing.assert_allclose(stats.p_world_trunk, batched.p_world_trunk, atol=1e-4)
     np.testing.assert_allclose(stats.peak_foot_force, batched.peak_foot_force, rtol=5e-3)
+
+
+def test_robot_carried_off_the_ground_is_airborne(walks):
+    """It neither tilts nor sinks, and its plan stands: only that nothing bears it tells."""
+    stats, trace = walks.statistics("carried off"), walks.trace("carried off")
+    assert statistics.STATUS_TEXT[int(stats.status)] == "airborne"
+    left = trace.time[np.flatnonzero(trace.foot_force[:, :, 2].sum(axis=1) > statistics.TOUCHING)[-1]]
+    assert stats.end_time == pytest.approx(left + statistics.AIRBORNE_TIME, abs=0.02)
+    assert stats.support_time == pytest.approx(left, abs=0.02)
+    assert stats.p_world_trunk[2] > 2.0 and np.rad2deg(stats.peak_roll_pitch).max() < 45.0
+
+
+def test_robot_that_leaves_the_ground_for_a_moment_is_not(walks):
+    stats, trace = walks.statistics("hop"), walks.trace("hop")
+    in_the_air = trace.foot_force[:, :, 2].sum(axis=1) <= statistics.TOUCHING
+    assert 0.05 < 0.01 * in_the_air.sum() < statistics.AIRBORNE_TIME
+    assert statistics.STATUS_TEXT[int(stats.status)] != "airborne"
