@@ -1,5 +1,6 @@
 # Needs Python 3.11 or newer with pip, make, and PyPI (the first time only).
 # Another Python: make demo PYTHON=/path/to/python3.12
+# What an older version left in runs/demo is only replaced if you say so: make demo ARGS=--overwrite
 
 # The first interpreter that is new enough; else whichever python3 there is, so that the error names its version.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
@@ -17,7 +18,7 @@ help:  ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
 
 demo: $(STAMP)  ## Plan, simulate and draw both robots' walks; results in runs/demo
-	$(BIN)/jaxbiped demo --out runs/demo
+	$(BIN)/jaxbiped demo --out runs/demo $(ARGS)
 
 test: $(STAMP)  ## Run the test suite (without the tests marked slow or gpu)
 	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0

@@ -15,7 +15,7 @@ from typing import Any
 import tyro
 
 from jaxbiped import runtime
-from jaxbiped.checked import nearest, one_line
+from jaxbiped.checked import Refusal, nearest, one_line
 from jaxbiped.commands import (
     InputError,
     WorkersLost,
@@ -61,7 +61,7 @@ def main(args: list[str] | None = None) -> int:
         runtime.use_threads(runtime.cores() if name == "tune" else 1)
         runtime.keep_compiled_kernels()
         result = COMMANDS[name][1](command)
-    except InputError as error:
+    except (InputError, Refusal) as error:
         return _complain(error, BAD_INPUT)
     except (ImportError, WorkersLost) as error:
         return _complain(error, FAILED)

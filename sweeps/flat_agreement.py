@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbiped import robot
+from jaxbiped import robot, runtime
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import CosineGait, PolynomialGait
 from jaxbiped.sim import Options, Scenario, mjx_adapter
@@ -67,7 +67,7 @@ def compliant(name: str, steps: int, batch: Scenario) -> dict[str, np.ndarray]:
     model = mjx_adapter.base_model(params)
     table = make_feed_forward(params, controller, duration, options)
 
-    @jb.runtime.jit
+    @runtime.jit
     def run(chunk: Scenario) -> Any:
         one = partial(simulate, params, model, controller)
         return eqx.filter_vmap(lambda s: one(s, table, duration, options).statistics)(chunk)

@@ -81,7 +81,11 @@ def main() -> None:
             table.filter(rows), height_column(SINGLE), f"surena3: {name} pads, by height under step {SINGLE}"
         )
         figure.savefig(arguments.out / f"{name}.png", dpi=110)
-    page.write_page(arguments.out / "report.html", "surena3 over unknown pads", overview.sections(one, table))
+    page.write_page(
+        arguments.out / "report.html",
+        "surena3 over unknown pads",
+        overview.sections(one, table, folder=arguments.out),
+    )
     print(f"{table.height} walks in {took:.0f} s")
     last = one.rows - 1  # khadiv's, with the last arm
     for row in [last] if arguments.replay is None else arguments.replay:

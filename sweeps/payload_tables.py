@@ -71,7 +71,9 @@ def main() -> None:
         )
         figure.savefig(arguments.out / f"{name}.png", dpi=110)
     page.write_page(
-        arguments.out / "report.html", "The thesis' tables 4.1 to 4.3", overview.sections(one, table)
+        arguments.out / "report.html",
+        "The thesis' tables 4.1 to 4.3",
+        overview.sections(one, table, folder=arguments.out),
     )
     ticks = one.ticks
     print(f"{table.height} walks, {ticks:,} physics ticks in {took:.0f} s: {ticks / took:,.0f} a second")

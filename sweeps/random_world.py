@@ -81,7 +81,9 @@ def main() -> None:
         print(table.group_by("arm", "status").len().sort("arm", "status"))
         print(summary.causes(table).group_by("arm", maintain_order=True).head(6))
     page.write_page(
-        arguments.out / "report.html", f"{arguments.robot} in a random world", overview.sections(one, table)
+        arguments.out / "report.html",
+        f"{arguments.robot} in a random world",
+        overview.sections(one, table, folder=arguments.out),
     )
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
     print(

@@ -14,7 +14,7 @@ from jaxbiped.tune import Problem, central, forward
 
 NAMES = ("landing.T_mod", "landing.descent_speed", "gait.H_max")
 HEIGHTS = (0.02, -0.02)
-"""Of the pad under the first step [m]."""
+"""Of the pad under the second step [m]."""
 WIDTHS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 """Of the differences, in the unit of each tunable."""
 
@@ -24,8 +24,8 @@ def main() -> None:
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 4)
     arm = jb.adapt.Controller(gait, landing=jb.adapt.Landing.repaired())
-    scenarios = jb.batch.grid(step_0_height_m=HEIGHTS)
-    problem = Problem.of(jb.batch.Experiment(robot, {"repaired": arm}, scenarios, duration=4.0), NAMES)
+    scenarios = jb.batch.grid(step_1_height_m=HEIGHTS)
+    problem = Problem.of(jb.batch.Experiment(robot, {"repaired": arm}, scenarios, duration=5.8), NAMES)
     rows = np.arange(len(HEIGHTS))
     columns = [forward(problem, problem.start, rows).by_scenario]
     columns += [

@@ -89,7 +89,7 @@ def test_obstacles_and_payload_are_in_the_scenario():
     assert setup.load == Load(7.5, 3.0)
     np.testing.assert_allclose(setup.scenario.terrain.height[:3], [0.03, -0.02, 0.0])
     assert (float(setup.scenario.payload.mass), float(setup.scenario.payload.time)) == (7.5, 3.0)
-    many = made("surena3", steps=18, obstacles=" ".join(f"{k}:0.01" for k in range(0, 18, 2)))
+    many = made("surena3", steps=20, obstacles=" ".join(f"{k}:0.01" for k in range(2, 19, 2)))
     assert np.count_nonzero(many.scenario.terrain.height) == 9
 
 
@@ -107,6 +107,8 @@ def test_simulated_time_is_long_enough_for_walk_and_recovery():
 # Refusals
 
 REFUSED = [
+    (["--robot", "surena3", "--obstacle", "0:0.03"], ("--obstacle", "under the left foot", "level ground")),
+    (["--robot", "surena3", "--obstacle", "0:-0.02"], ("--obstacle", "a hole", "under the left foot")),
     (["--robot", "surena4"], ("--robot", "'surena4'", "elkahlout, surena3")),
     (["--gait", "trot"], ("--gait", "'trot'", "polynomial, cosine")),
     (["--steps", "0"], ("--steps", "0", "1 to 200")),

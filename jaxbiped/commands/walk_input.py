@@ -224,6 +224,10 @@ def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: 
     for pad in pads:
         scenario = scenario.with_obstacle(params, gait, pad.step, pad.height)
     _refuse_overlaps(pads, scenario.terrain)
+    try:
+        sim.require_clear_start(params, gait, scenario.terrain)
+    except checked.Refusal as error:
+        raise InputError(f"--obstacle: {error}") from None
     return scenario if load is None else scenario.with_payload(load.mass, load.time)
 
 
