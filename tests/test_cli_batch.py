@@ -3,6 +3,7 @@
 import html.parser
 import json
 
+import jax
 import polars as pl
 import pytest
 
@@ -245,9 +246,24 @@ def test_doctor_finds_this_installation_well(capsys):
     assert cli.main(["doctor", "--json"]) == cli.OK
     out, result = said(capsys)
     assert result["ok"] and "all well" in out
-    assert {"device", "extras", "compilation cache", "self-test"} <= {
+    assert {"device", "extras", "compilation cache", "arithmetic", "self-test"} <= {
         check["name"] for check in result["checks"]
     }
+
+
+def test_doctor_finds_arithmetic_that_is_wrong(capsys, monkeypatch):
+    """As of jaxlib 0.10.2, whose jit is off by 0.8 % while the package's own functions are right."""
+    real = jax.jit
+
+    def wrong(function, **options):
+        good = real(function, **options)
+        return lambda *given: good(*given) * (1.0 if options else 0.992)
+
+    monkeypatch.setattr("jaxbiped.commands.doctor.jax.jit", wrong)
+    cli.main(["doctor", "--json"])
+    out, result = said(capsys)
+    assert not result["ok"] and "to be mended: arithmetic" in out
+    assert "wrong by 0.8%" in out and "pip install 'jax!=0.10.2,!=0.11.0,!=0.11.1'" in out
 
 
 def test_doctor_says_how_to_mend_what_is_missing(capsys, monkeypatch):

@@ -90,7 +90,7 @@ class Experiment:
     @cached_property
     def table(self) -> pl.DataFrame:
         """The scenarios with every input."""
-        return inputs.complete(self.scenarios, self.seed)
+        return inputs.complete(self.scenarios, int(self.seed))
 
     @cached_property
     def pads(self) -> list[tuple[np.ndarray, np.ndarray]]:

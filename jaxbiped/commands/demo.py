@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +16,7 @@ from tyro.conf import arg
 from jaxbiped import adapt, batch, kinematics, planner, robot, sim
 from jaxbiped.batch import store
 from jaxbiped.batch.run import MAX_WORKERS
-from jaxbiped.commands import batches, obstacles, payload, replay
+from jaxbiped.commands import batches, obstacles, payload, replay, walk
 from jaxbiped.commands.choices import clock_start
 from jaxbiped.commands.common import (
     OVERWRITE_HELP,
@@ -35,7 +35,7 @@ from jaxbiped.commands.common import (
     write,
 )
 
-NUMBERS, PAGE = "demo.json", "demo.html"
+NUMBERS, PAGE, RECOVERED = "demo.json", "demo.html", "recovery"
 FIGURES = (
     "khadiv_fig6_feet",
     "khadiv_fig7_pelvis",
@@ -137,7 +137,7 @@ def _obstacles(command: Demo) -> obstacles.Obstacles:
 def _claim(command: Demo) -> str:
     """Refuse folders that hold something else, before anything is done; returns the key of this demonstration."""
     key = hashlib.sha256(json.dumps(store.code(), sort_keys=True).encode()).hexdigest()
-    names = (NUMBERS, PAGE, *(f"{name}.png" for name in FIGURES))
+    names = (NUMBERS, PAGE, f"{RECOVERED}/{walk.NUMBERS}", *(f"{name}.png" for name in FIGURES))
     require_free(command.out, names, key_in(command.out / NUMBERS) == key, command.overwrite)
     loads, pads = _payload(command), _obstacles(command)
     batches.claim(payload.set_up(loads)[0], loads, payload.FIGURES)
@@ -148,7 +148,7 @@ def _claim(command: Demo) -> str:
     return key
 
 
-def _draw(figures: ModuleType, walks: dict[str, Plan], simulated: dict[str, sim.Walk]) -> dict[str, Any]:
+def _draw(figures: ModuleType, walks: Mapping[str, Plan], simulated: Mapping[str, Any]) -> dict[str, Any]:
     return {
         **_draw_surena3(figures, walks["surena3"]),
         **_draw_elkahlout(figures, walks["elkahlout"]),
@@ -167,7 +167,7 @@ def _recovery(command: Demo) -> dict[str, Any]:
         & ((pl.col("load_time_s") - start - RECOVERY["time_s"]).abs() < 1e-6)
     )
     row = int(table.filter(wanted)["row"][0])
-    return replay.run(replay.Replay(out / "payload", row, out / "recovery", overwrite=command.overwrite))
+    return replay.run(replay.Replay(out / "payload", row, out / RECOVERED, overwrite=command.overwrite))
 
 
 def _page(out: Path, recovery: list[str]) -> Path:
@@ -214,7 +214,7 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.
     }
 
 
-def _draw_obstacles(figures: ModuleType, gait: Any, walks: dict[str, sim.Walk]) -> dict[str, Any]:
+def _draw_obstacles(figures: ModuleType, gait: Any, walks: Mapping[str, Any]) -> dict[str, Any]:
     heights = ", ".join(f"{100 * height:g}" for height in OBSTACLES.values())
     what = f"surena3 over unknown obstacles of {heights} cm"
     traces: dict[str, Any] = {name: walk.trace for name, walk in walks.items()}

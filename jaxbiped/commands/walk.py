@@ -23,6 +23,7 @@ from jaxbiped.commands.common import (
     make_writable,
     outcome,
     plain,
+    refusing,
     require_folder,
     require_free,
     targets_at,
@@ -114,10 +115,14 @@ def run(command: Walk) -> dict[str, Any]:
 
 
 def claim(setup: Setup, out: Path, overwrite: bool) -> None:
-    """Make the folder; refuse it if files of another walk would be replaced."""
+    """Make the folder; refuse it if files of another walk would be replaced, or drop them if that is allowed."""
     names = (NUMBERS, *(f"{name}.png" for name in FIGURES), MOVIE)
-    require_free(out, names, key_in(out / NUMBERS) == key_of(setup), overwrite)
+    ours = key_in(out / NUMBERS) == key_of(setup)
+    require_free(out, names, ours, overwrite)
     make_writable(out)
+    for name in () if ours else names:
+        with refusing(out / name, "files that may be deleted"):
+            (out / name).unlink(missing_ok=True)
 
 
 def key_of(setup: Setup) -> str:

@@ -81,7 +81,8 @@ def _judged(r: dict[str, Any]) -> str:
     until = r["had_to_stand_until_s"]
     if r["success"]:
         rule = "two whole steps after load and recovery" if r["payload"] else "the walk is finished"
-        return f"success: {rule}, at {until:.2f} s"
+        later = f"; {r['status']} at {r['end_time_s']:.2f} s, after that" if r["status"] != "ok" else ""
+        return f"success: {rule}, at {until:.2f} s{later}"
     if r["status"] == "unfinished":
         if r["reflexes"] and r["reflexes"][-1]["resumed_s"] is None:
             return f"unfinished: still in reflex {len(r['reflexes'])} when the simulation ended"

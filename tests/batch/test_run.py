@@ -4,6 +4,8 @@ import errno
 import json
 import math
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -290,6 +292,30 @@ def test_every_worker_has_one_thread_and_a_gpu_of_its_own(monkeypatch):
         threads = client.run(os.getenv, "NPROC").values()
     assert sorted(seen) == ["3", "5"]
     assert set(threads) == {"1"}
+
+
+UNGUARDED = """
+import sys
+import jaxbiped as jb
+
+robot = jb.robot.load("elkahlout")
+arms = {"off": jb.adapt.Controller(jb.planner.CosineGait.preset(robot, 2))}
+one = jb.batch.Experiment(robot, arms, jb.batch.grid(friction=[0.5, 0.6]), duration=0.02, batch=1)
+jb.batch.run(one, sys.argv[1], workers=2)
+"""
+
+
+def test_a_script_without_main_guard_is_told_so_in_one_line(tmp_path):
+    pytest.importorskip("distributed")
+    (tmp_path / "script.py").write_text(UNGUARDED)
+    command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1 and done.stderr.count("Traceback") == 1, done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert (
+        "WorkersError: workers: got a script that starts itself" in last
+        and "if __name__ == '__main__':" in last
+    )
 
 
 def test_a_worker_forgets_what_is_compiled_for_arms_of_another_kind(surena, monkeypatch):

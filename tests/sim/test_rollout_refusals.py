@@ -1,16 +1,16 @@
 """What a roll-out refuses before anything is compiled: durations, options, and feet that start in an obstacle."""
 
-import numpy as np
 import pytest
 
 from jaxbiped import robot
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import PolynomialGait
+from jaxbiped.robot import RobotParams
 from jaxbiped.sim import Options, Scenario, rollout
 
 
 @pytest.fixture(scope="module")
-def surena():
+def surena() -> tuple[RobotParams, Controller]:
     params = robot.load("surena3")
     return params, Controller(PolynomialGait.preset(params, 2))
 
@@ -47,9 +47,3 @@ def test_options(given, says):
     with pytest.raises(ValueError, match="allowed") as refusal:
         Options(**given)
     assert says in str(refusal.value)
-
-
-def test_numpys_numbers_are_numbers():
-    given = Options(dt=np.float32(1e-3), control_every=np.int64(2))
-    assert type(given.dt) is float and type(given.control_every) is int
-    assert hash(given) == hash(Options(dt=float(np.float32(1e-3)), control_every=2))
