@@ -289,8 +289,13 @@ def walked(capsys, out: Path, *args: str) -> tuple[list[str], dict]:
     assert complained == ""
     *lines, last = said.splitlines()
     result = json.loads(last)
-    assert {Path(file) for file in result["files"]} == set(out.iterdir())
-    for file in out.iterdir():
+    numbers = out / walk.NUMBERS
+    figures = {Path(file) for file in result["files"]}
+    assert {*figures, numbers} == set(out.iterdir())
+    assert {file.stem for file in figures} <= set(walk.FIGURES)
+    written = json.loads(numbers.read_text())
+    assert written.pop("key") and written == {k: v for k, v in result.items() if k != "files"}
+    for file in figures:
         assert file.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and file.stat().st_size > 10_000
     return lines, result
 

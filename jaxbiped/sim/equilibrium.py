@@ -12,7 +12,7 @@ from jaxbiped.sim.plant import Plant, body_motion, contact_force
 from jaxbiped.sim.servo import Reference
 
 ITERATIONS = 12
-_HELD = np.array([0, 1, 5])
+_HELD = np.array([0, 1, 5], np.int32)
 """World x, world y and yaw: friction that is regularised does not hold them, nothing pushes them either."""
 
 

@@ -299,7 +299,7 @@ def test_a_lane_that_is_not_a_number_fails_alone(walks):
     assert stats.status in (statistics.NONFINITE, statistics.FELL) and stats.end_time <= 2 * one.options.dt
     if one.params.name != "surena3":
         return
-    healthy = run(one, [(one.gait, Scenario.flat().with_friction(0.8 - 0.05 * i)) for i in range(6)])
+    healthy = run(one, [(one.gait, Scenario.flat().with_friction(0.8 - 0.05 * i)) for i in range(8)])
     jax.tree.map(np.testing.assert_array_equal, lane(healthy, 0), lane(walks.batch, 0))
 
 

@@ -17,16 +17,18 @@ def surena() -> tuple[RobotParams, Controller]:
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf"), 1e9])
 def test_durations(surena, duration):
+    params, controller = surena
     with pytest.raises(ValueError, match=r"duration: got .* s, allowed: > 0 and <= 3600 s"):
-        rollout(*surena, Scenario.flat(), duration)
+        rollout(params, controller, Scenario.flat(), duration)
 
 
 @pytest.mark.parametrize(("height", "what"), [(0.02, "an obstacle of 0.02 m"), (-0.02, "a hole of -0.02 m")])
 def test_a_foot_in_an_obstacle_at_the_start(surena, height, what):
     """It was accepted, and hit with 25 kN."""
+    params, controller = surena
     scenario = Scenario.flat().with_rectangle((0.05, 0.05), (0.3, 0.2), height)
     with pytest.raises(ValueError, match=f"start: got {what} .* under the left foot"):
-        rollout(*surena, scenario, 1.0)
+        rollout(params, controller, scenario, 1.0)
 
 
 OPTIONS = [

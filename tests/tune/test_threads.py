@@ -38,7 +38,7 @@ def made_up(monkeypatch):
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 16])
 def test_however_walks_are_cut_they_come_back_in_order(monkeypatch, made_up, threads):
-    monkeypatch.setattr(gradient, "threads", lambda: threads)
+    monkeypatch.setattr(gradient.runtime, "threads", lambda: threads)
     with jax.enable_x64(True):
         problem = payload(11, 1.0, NAMES)
         rows = np.array([3, 0, 10, 7, 7, 1, 2])
@@ -60,7 +60,7 @@ def test_however_walks_are_cut_they_come_back_in_order(monkeypatch, made_up, thr
 
 def test_only_the_first_call_goes_ahead(monkeypatch, made_up):
     """It compiles; afterwards all are made by the threads."""
-    monkeypatch.setattr(gradient, "threads", lambda: 2)
+    monkeypatch.setattr(gradient.runtime, "threads", lambda: 2)
     problem, me = payload(6, 1.0, NAMES), threading.current_thread().name
     for _ in range(2):
         forward(problem, problem.start, np.arange(6))

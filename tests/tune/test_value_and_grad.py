@@ -21,7 +21,7 @@ def example() -> str:
 
 @pytest.fixture(scope="module")
 def example_in_float64() -> Iterator[dict[str, Any]]:
-    """A loss of one's own, walks of 4 s over a pad or into a hole under the first step."""
+    """A loss of one's own, walks of 5.8 s over a pad or into a hole under the second step."""
     names: dict[str, Any] = {}
     with jax.enable_x64(True):
         exec(example(), names)
@@ -29,7 +29,7 @@ def example_in_float64() -> Iterator[dict[str, Any]]:
 
 
 def test_the_example_of_the_docs_runs(example_in_float64):
-    found, height = example_in_float64["found"], example_in_float64["scenarios"]["step_0_height_m"].to_numpy()
+    found, height = example_in_float64["found"], example_in_float64["scenarios"]["step_1_height_m"].to_numpy()
     assert found.by_scenario.dtype == np.float64 and np.all(found.status == 0) and found.value > 0.0
     T_mod, descent_speed = found.by_scenario.T
     # into a hole the foot descends; over a pad it is set down in T_mod
