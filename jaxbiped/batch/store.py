@@ -92,8 +92,8 @@ class Store:
             if not self.overwrite:
                 self._refuse_another()
             return Found({}, {})
-        if self._description() is None and any(self.folder.glob(f"{PARTS}/{self.key[:16]}-*.parquet")):
-            damaged[self.folder / EXPERIMENT] = "it cannot be read"
+        if (self.folder / EXPERIMENT).exists() and (why := self._description_damage()):
+            damaged[self.folder / EXPERIMENT] = why
         if (self.folder / SCENARIOS).exists() and (why := self._scenarios_damage()):
             damaged[self.folder / SCENARIOS] = why
         failed = {}
@@ -179,6 +179,13 @@ class Store:
             return {name: there[name] for name in self.description}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
+
+    def _description_damage(self) -> str:
+        if self._description() is None:
+            return "it cannot be read"
+        there = json.loads((self.folder / EXPERIMENT).read_text(encoding="utf-8"))
+        changed = [name for name, value in (("key", self.key), ("format", FORMAT)) if there.get(name) != value]
+        return f"its {changed[0]} was changed" if changed else ""
 
     def _holds_another(self) -> bool:
         there = self._description()

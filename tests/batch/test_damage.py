@@ -214,6 +214,17 @@ def test_description_changed_by_hand_is_not_believed(folder):
         folder.run()
 
 
+@pytest.mark.parametrize("changed", [{"key": "0" * 64}, {"key": None}, {"format": 3}, {"format": "new"}])
+def test_description_whose_key_or_format_was_changed_is_made_again(folder, changed):
+    file = folder.path / store.EXPERIMENT
+    described = json.loads(file.read_text())
+    file.write_text(json.dumps({**described, **changed}))
+    with pytest.raises(batch.StoreError, match="table: got"):
+        batch.open_table(folder.path)
+    folder.run()
+    assert folder.made == [] and json.loads(file.read_text()) == described and len(folder.said) == 1
+
+
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_damaged_table_is_set_aside_and_made_again(folder, damage):
     file = folder.path / store.TABLE
