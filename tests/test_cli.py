@@ -83,7 +83,11 @@ def test_broken_robot_file_is_refused_with_the_field(capsys, tmp_path):
     text = preset.read_text(encoding="utf-8")
     broken.write_text(text.replace("thigh_length = { value = 0.360", "thigh_length = { value = -0.360"))
     line = refused(capsys, "export", "--robot", str(broken), "--out", str(tmp_path / "x.xml"))
-    assert "--robot" in line and "geometry.thigh_length" in line and "got -0.36 m, allowed: >= 0.02 and <= 2 m" in line
+    assert (
+        "--robot" in line
+        and "geometry.thigh_length" in line
+        and "got -0.36 m, allowed: >= 0.02 and <= 2 m" in line
+    )
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"name = ", b""])

@@ -184,7 +184,9 @@ class Store:
         if self._description() is None:
             return "it cannot be read"
         there = json.loads((self.folder / EXPERIMENT).read_text(encoding="utf-8"))
-        changed = [name for name, value in (("key", self.key), ("format", FORMAT)) if there.get(name) != value]
+        changed = [
+            name for name, value in (("key", self.key), ("format", FORMAT)) if there.get(name) != value
+        ]
         return f"its {changed[0]} was changed" if changed else ""
 
     def _holds_another(self) -> bool:
