@@ -6,6 +6,7 @@ import functools
 import io
 import json
 import operator
+import os
 import re
 import sys
 from collections.abc import Callable
@@ -53,6 +54,8 @@ _WORDS = {"INT": "a whole number", "FLOAT": "a number", "PATH": "a path", "STR":
 def main(args: list[str] | None = None) -> int:
     """Run the console command; returns the exit code: 0 done, 1 something is missing, 2 bad input."""
     args = sys.argv[1:] if args is None else list(args)
+    with contextlib.suppress(AttributeError):  # signs that the terminal does not know become question marks
+        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
     if args == ["--version"]:
         print(f"jaxbiped {metadata.version('jaxbiped')}")
         return OK
@@ -61,6 +64,9 @@ def main(args: list[str] | None = None) -> int:
         runtime.use_threads(runtime.cores() if name == "tune" else 1)
         runtime.keep_compiled_kernels()
         result = COMMANDS[name][1](command)
+        if command.json:
+            print(json.dumps(plain(result)))
+        sys.stdout.flush()
     except (InputError, Refusal) as error:
         return _complain(error, BAD_INPUT)
     except (ImportError, WorkersLost) as error:
@@ -69,8 +75,11 @@ def main(args: list[str] | None = None) -> int:
         return _complain(InputError("stopped; the same command goes on with what is finished"), INTERRUPTED)
     except SystemExit as stop:  # --help
         return int(stop.code or OK)
-    if command.json:
-        print(json.dumps(plain(result)))
+    except OSError as error:  # the output cannot be written, or whoever read it has gone
+        if not isinstance(error, BrokenPipeError):
+            _complain(InputError(f"{error.filename or 'output'}: {error.strerror or error}"), FAILED)
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")
+        return FAILED
     return OK
 
 
@@ -112,6 +121,8 @@ def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
     known = [option for option in known if option != "--table"] if name == "report" else known
     switched = [f"--no-{option[2:]}" for option in known]
     for word in args:
+        if not word or (word.endswith("=") and word.startswith("--")):
+            raise InputError(f"{name}: got an empty argument ({word or chr(39) * 2}), allowed: a value")
         option = word.partition("=")[0].replace("_", "-")
         if option.startswith("--") and option not in (*known, *switched, *_HELP):
             raise InputError(

@@ -35,28 +35,40 @@ def write(path: str | Path, content: bytes | str) -> Path:
     return path
 
 
-def set_aside(path: Path) -> Path:
-    """Rename a damaged file to the first free of NAME.damaged, NAME.damaged-2, ..., and return its new name.
+def set_aside(path: Path, why: str = "damaged") -> Path:
+    """Rename a file to the first free of NAME.damaged, NAME.damaged-2, ... (or another word), and return its new name.
 
     Raises:
         OSError: if it cannot be renamed.
     """
-    names = itertools.chain(
-        [f"{path.name}.damaged"], (f"{path.name}.damaged-{n}" for n in itertools.count(2))
-    )
-    place = next(place for place in map(path.with_name, names) if not place.exists())
+    names = itertools.chain([f"{path.name}.{why}"], (f"{path.name}.{why}-{n}" for n in itertools.count(2)))
+    place = next(place for place in map(path.with_name, names) if not os.path.lexists(place))
     os.rename(path, place)
     return place
 
 
 def why_not_writable(folder: Path) -> str | None:
     """Why a folder cannot be made or written into, without trying; None if nothing speaks against it."""
-    for place in (folder, *folder.absolute().parents):
-        if place.exists() or place.is_symlink():
+    try:
+        for place in (folder.absolute(), *folder.absolute().parents):
+            try:
+                os.lstat(place)
+            except (FileNotFoundError, NotADirectoryError):
+                continue
             if not place.is_dir():
                 return f"'{place}' is a file"
             return None if os.access(place, os.W_OK | os.X_OK) else f"'{place}' may not be written"
+    except (OSError, ValueError) as error:  # a name that is too long, a folder that may not be entered
+        return getattr(error, "strerror", None) or str(error)
     return f"'{folder}' has no parent folder"
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _keep_name(path: Path) -> None:

@@ -13,7 +13,7 @@ from jaxbiped import runtime
 from jaxbiped.batch import workers as crew
 from jaxbiped.batch.experiment import Experiment
 from jaxbiped.batch.progress import Progress
-from jaxbiped.batch.store import Found, Store, Tell, failures, to_stderr
+from jaxbiped.batch.store import Found, Store, StoreError, Tell, failures, to_stderr
 from jaxbiped.checked import whole
 
 TICKS_PER_SECOND = 6e4
@@ -76,11 +76,12 @@ def run(
         WorkersError: if the workers are lost; finished chunks are kept.
     """
     crew.require_main_guard()
+    out = _folder(out)
     runtime.keep_compiled_kernels()
     given = _workers(workers)
     if scheduler is not None:
         crew.require_address(scheduler)
-    store = Store(Path(out), experiment, overwrite, tell)
+    store = Store(out, experiment, overwrite, tell)
     found = store.open()
     missing = [chunk for chunk in experiment.chunks if chunk.number not in found.failed]
     with _counting(experiment, found, progress) as count:
@@ -107,7 +108,7 @@ def plan(
         StoreError: if `run` would refuse the folder.
     """
     given = _workers(workers)
-    found = Found({}, {}) if out is None else Store(Path(out), experiment, overwrite).inspect()
+    found = Found({}, {}) if out is None else Store(_folder(out), experiment, overwrite).inspect()
     left = [chunk for chunk in experiment.chunks if chunk.number not in found.failed]
     ticks = sum(
         experiment.lanes * experiment.durations[chunk.arm] / experiment.simulation.dt for chunk in left
@@ -166,6 +167,12 @@ def _counting(
         yield _Count(experiment, found, progress or (lambda _: None))
     finally:
         getattr(progress, "close", lambda: None)()
+
+
+def _folder(out: str | Path) -> Path:
+    if not str(out):
+        raise StoreError("out: got an empty name, allowed: a folder that can be made and written")
+    return Path(out)
 
 
 def _workers(given: Any) -> int | None:

@@ -14,6 +14,7 @@ again.
 import hashlib
 import io
 import json
+import os
 import platform
 import re
 import sys
@@ -31,8 +32,9 @@ import polars as pl
 
 from jaxbiped import files
 from jaxbiped.batch import records
-from jaxbiped.batch.columns import FAILED
+from jaxbiped.batch.columns import FAILED, IDENTITY, OUTCOMES
 from jaxbiped.batch.experiment import Chunk, Experiment, table_hash
+from jaxbiped.score import STATUS_TEXT
 
 EXPERIMENT, SCENARIOS, TABLE, PARTS = "experiment.json", "scenarios.parquet", "table.parquet", "parts"
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars")
@@ -87,19 +89,29 @@ class Store:
             raise StoreError(
                 f"out: got '{self.folder}' ({why}), allowed: a folder that can be made and written"
             )
+        try:
+            return self._inspect()
+        except OSError as error:
+            raise _refusal(self.folder, error) from error
+
+    def _inspect(self) -> Found:
         damaged: dict[Path, str] = {}
+        if os.path.lexists(self.folder / PARTS) and (why := files.why_not_writable(self.folder / PARTS)):
+            raise StoreError(
+                f"out: got '{self.folder}' ({why}), allowed: a folder that can be made and written"
+            )
         if self._holds_another():
             if not self.overwrite:
                 self._refuse_another()
             return Found({}, {})
         if (self.folder / EXPERIMENT).exists() and (why := self._description_damage()):
             damaged[self.folder / EXPERIMENT] = why
-        if (self.folder / SCENARIOS).exists() and (why := self._scenarios_damage()):
+        if os.path.lexists(self.folder / SCENARIOS) and (why := self._scenarios_damage()):
             damaged[self.folder / SCENARIOS] = why
         failed = {}
         for chunk in self.experiment.chunks:
             part = self.part(chunk)
-            if part.exists():
+            if os.path.lexists(part):
                 try:
                     failed[chunk.number] = failures(self.read(chunk))
                 except DamagedError as error:
@@ -166,11 +178,18 @@ class Store:
         except DamagedError as error:
             raise StoreError(f"out: {error}; run the same command again") from error
         file, content = self.folder / TABLE, _parquet(rows)
-        if file.exists() and file.read_bytes() != content:
+        if os.path.lexists(file) and not _holds(file, content):
             self._set_aside(file, "it is not what its parts say")
         if not file.exists():
             _write(file, content)
         return rows
+
+    @property
+    def ours(self) -> bool:
+        """Whether the folder holds this experiment already, wholly or in part."""
+        return not self._holds_another() and any(
+            (self.folder / name).exists() for name in (EXPERIMENT, SCENARIOS, PARTS)
+        )
 
     def _description(self) -> dict[str, Any] | None:
         """What the folder says it holds; None if it says nothing that can be read."""
@@ -232,7 +251,7 @@ class Store:
         )
 
     def _set_aside(self, file: Path, why: str) -> None:
-        if file.exists():
+        if os.path.lexists(file):
             self.tell(f"'{file}' is damaged ({why}): set aside as '{files.set_aside(file).name}', made again")
 
     def _clear(self) -> None:
@@ -262,9 +281,9 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
     folder = path.parent if path.name == TABLE else path
     try:
         described = json.loads((folder / EXPERIMENT).read_text(encoding="utf-8"))
-        key, version = described["key"], described.get("format", 1)
-        if version not in range(1, FORMAT + 1):
-            raise ValueError(f"its format is {version!r}, this version reads up to {FORMAT}")
+        key, version = described["key"], described.get("format")
+        if version is not None and (type(version) is not int or version != FORMAT):
+            raise ValueError(f"its format is {version!r}, this version reads {FORMAT}")
         if key != _key({name: described[name] for name in ("experiment", "code")}):
             raise DamagedError(f"{EXPERIMENT} was changed: its key is not that of what it says")
         scenarios = _require_scenarios(folder / SCENARIOS, described["experiment"]["scenarios"]["sha256"])
@@ -275,9 +294,9 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
     rows = []
     for chunk in experiment.chunks:
         part = part_file(folder, key, chunk)
-        if part.exists():
+        if os.path.lexists(part):
             try:
-                rows.append(read_part(part, key if version > 1 else None, experiment, chunk))
+                rows.append(read_part(part, None if version is None else key, experiment, chunk))
             except DamagedError as error:
                 tell(f"'{part}' is damaged ({error}): left out; running the same command again makes it anew")
     if not rows:
@@ -311,7 +330,7 @@ def read_part(path: Path, key: str | None, experiment: Experiment, chunk: Chunk)
         content = path.read_bytes()
     except OSError as error:
         raise DamagedError(error.strerror or str(error)) from None
-    if key is not None:
+    if key is not None or _SUM.search(content[-(1 << 16) :]):
         _require_sum(content)
     frame = _frame(content)
     if key is not None:
@@ -323,11 +342,15 @@ def read_part(path: Path, key: str | None, experiment: Experiment, chunk: Chunk)
         "scenario": np.arange(chunk.start, chunk.stop),
     }
     for name, values in {**expected, **{name: inputs[name] for name in inputs.columns}}.items():
-        if name not in frame.columns or not frame[name].equals(pl.Series(name, values), check_dtypes=False):
+        if name not in frame.columns or not frame[name].equals(pl.Series(name, values), check_dtypes=True):
             raise DamagedError(f"its column '{name}' is not that of chunk {chunk.number}")
-    lacking = [name for name in ("success", "status") if name not in frame.columns]
-    if lacking:
-        raise DamagedError(f"it has no column '{lacking[0]}'")
+    for name, dtype in (("success", pl.Boolean), ("status", pl.String)):
+        if frame.schema.get(name) != dtype or frame[name].null_count():
+            raise DamagedError(f"its column '{name}' is missing, or not all of it is there")
+    if odd := set(frame["status"]) - set(STATUS_TEXT):
+        raise DamagedError(f"it has the status '{odd.pop()}'")
+    if odd := set(frame.columns) - {*IDENTITY, *inputs.columns, *OUTCOMES}:
+        raise DamagedError(f"it has the column '{odd.pop()}'")
     return frame
 
 
@@ -348,7 +371,10 @@ def _require_sum(content: bytes) -> None:
 
 
 def _require_seal(content: bytes, identity: dict[str, Any]) -> None:
-    said = json.loads(pl.read_parquet_metadata(io.BytesIO(content))[SEAL])
+    try:
+        said = dict(json.loads(pl.read_parquet_metadata(io.BytesIO(content))[SEAL]))
+    except (KeyError, ValueError, TypeError) as error:
+        raise DamagedError("it does not say whose it is") from error
     for name, value in identity.items():
         if said.get(name) != value:
             raise DamagedError(f"it is of another {'experiment' if name == 'key' else name}")
@@ -379,6 +405,13 @@ def _frame(content: bytes) -> pl.DataFrame:
         if type(error).__name__ != "PanicException":
             raise
         raise DamagedError("no Parquet file that can be read") from None
+
+
+def _holds(file: Path, content: bytes) -> bool:
+    try:
+        return file.read_bytes() == content
+    except OSError:
+        return False
 
 
 def _parquet(frame: pl.DataFrame, said: dict[str, str] | None = None) -> bytes:

@@ -142,11 +142,12 @@ def walk(experiment: batch.Experiment, command: Command, figures: Iterable[str] 
 
 def claim(experiment: batch.Experiment, command: Command, figures: Iterable[str] = ()) -> None:
     """Refuse a folder that holds something else; nothing is touched."""
-    require_free(command.out, figures, (command.out / store.EXPERIMENT).exists(), command.overwrite)
+    there = store.Store(command.out, experiment, command.overwrite)
     try:
-        store.Store(command.out, experiment, command.overwrite).inspect()
+        there.inspect()
     except batch.StoreError as error:
         raise InputError(_as_argument(str(error))) from None
+    require_free(command.out, figures, there.ours, command.overwrite)
 
 
 def experiment(*given: Any, **named: Any) -> batch.Experiment:
@@ -157,8 +158,9 @@ def experiment(*given: Any, **named: Any) -> batch.Experiment:
         raise InputError(_as_argument(str(error))) from None
 
 
-def dry_run(experiment: batch.Experiment, command: Command) -> dict[str, Any]:
-    """Say what a run would do; touches nothing."""
+def dry_run(experiment: batch.Experiment, command: Command, figures: Iterable[str] = ()) -> dict[str, Any]:
+    """Say what a run would do, or refuse what it would refuse; touches nothing."""
+    claim(experiment, command, figures)
     try:
         plan = batch.plan(experiment, command.out, command.workers, command.overwrite)
     except ValueError as error:

@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import json
 import math
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -98,7 +99,7 @@ def require_free(out: Path, names: Iterable[str], ours: bool, overwrite: bool) -
         ours: whether the folder says that it holds the very same thing.
         overwrite: whether they may be replaced.
     """
-    there = [] if ours or overwrite else [name for name in names if (out / name).exists()]
+    there = [] if ours or overwrite else [name for name in names if os.path.lexists(out / name)]
     if there:
         raise InputError(
             f"--out: got '{out}', which holds {there[0]} of something else, allowed: another folder, or --overwrite"

@@ -137,7 +137,8 @@ def _obstacles(command: Demo) -> obstacles.Obstacles:
 def _claim(command: Demo) -> str:
     """Refuse folders that hold something else, before anything is done; returns the key of this demonstration."""
     key = hashlib.sha256(json.dumps(store.code(), sort_keys=True).encode()).hexdigest()
-    names = (NUMBERS, PAGE, f"{RECOVERED}/{walk.NUMBERS}", *(f"{name}.png" for name in FIGURES))
+    names = (NUMBERS, PAGE, *(f"{name}.png" for name in FIGURES))
+    names += tuple(f"{RECOVERED}/{name}" for name in walk.FILES)
     require_free(command.out, names, key_in(command.out / NUMBERS) == key, command.overwrite)
     loads, pads = _payload(command), _obstacles(command)
     batches.claim(payload.set_up(loads)[0], loads, payload.FIGURES)

@@ -1,10 +1,11 @@
 """`jaxbiped export`: a robot for stock MuJoCo."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jaxbiped import sim
+from jaxbiped import files, sim
 from jaxbiped.commands.common import InputError, load_robot, make_writable, require_folder, write
 
 
@@ -25,14 +26,22 @@ class Export:
 def run(command: Export) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
     params, out = load_robot("--robot", command.robot), command.out
-    if out.suffix != ".xml" or out.is_dir():
+    if out.suffix != ".xml":
         raise InputError(f"--out: got '{out}', allowed: a file name that ends in .xml")
     require_folder(out.parent, out)
     text = sim.mjcf(params)
-    if out.exists() and out.read_bytes() != text.encode() and not command.overwrite:
+    if os.path.lexists(out) and not (command.overwrite and files.is_file(out)) and not _holds(out, text):
         raise InputError(f"--out: got '{out}', which is there already, allowed: another file, or --overwrite")
     make_writable(out.parent)
     write(out, text)
     mass = round(float(params.total_mass), 3)
     print(f"{params.name}, {mass:g} kg, written to {out}")
     return {"robot": params.name, "mass_kg": mass, "file": str(out)}
+
+
+def _holds(file: Path, text: str) -> bool:
+    """Whether a file holds this very text already."""
+    try:
+        return files.is_file(file) and file.read_bytes() == text.encode()
+    except OSError:
+        return False

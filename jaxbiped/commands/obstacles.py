@@ -53,7 +53,7 @@ def run(command: Obstacles) -> dict[str, Any]:
     with batch.waiting("planning"):
         experiment = set_up(command)
     if command.dry_run:
-        return batches.dry_run(experiment, command)
+        return batches.dry_run(experiment, command, FIGURES)
     table = batches.walk(experiment, command, FIGURES)
     print("\n".join(_lines(table, command.step[0])))
     print("\n".join([*batches.rates(table), *batches.again(table, out)]), flush=True)
@@ -66,7 +66,7 @@ def set_up(command: Obstacles) -> batch.Experiment:
     """The experiment."""
     params = load_robot("--robot", command.robot)
     heights = batches.numbers("--heights", command.heights, "m", DEEPEST, HIGHEST)
-    gait = make_gait(params, command.gait or own_gait(params), command.steps)
+    gait = make_gait(params, own_gait(params) if command.gait is None else command.gait, command.steps)
     if not command.step or len(set(command.step)) < len(command.step):
         raise InputError(f"--step: got {command.step}, allowed: one or more steps, each once")
     for step in command.step:

@@ -59,7 +59,7 @@ def run(command: Payload) -> dict[str, Any]:
     with batch.waiting("planning"):
         experiment, start = set_up(command)
     if command.dry_run:
-        return batches.dry_run(experiment, command)
+        return batches.dry_run(experiment, command, FIGURES)
     table = batches.walk(experiment, command, FIGURES)
     print("\n".join(_ticks(table, start)))
     print("\n".join([*batches.rates(table), *batches.again(table, out)]), flush=True)
@@ -73,11 +73,11 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
     params = load_robot("--robot", command.robot)
     loads = batches.numbers("--loads", command.loads, "kg", 0.0, float(params.total_mass))
     times = batches.numbers("--times", command.times, "s", 0.0, LATEST)
-    name = command.gait or own_gait(params)
+    name = own_gait(params) if command.gait is None else command.gait
     gait = make_gait(params, name, 1)
     since_liftoff = max(times) + clock_start(gait) - float(gait.timing.first_liftoff)
     last = max(0, math.floor(since_liftoff / float(gait.timing.T_c)))
-    steps = command.steps or last + 1 + STEPS_AFTER
+    steps = last + 1 + STEPS_AFTER if command.steps is None else command.steps
     gait = make_gait(params, name, steps)
     start = clock_start(gait)
     if max(times) + start > float(gait.duration):

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from tyro.conf import Positional, arg
 
-from jaxbiped import batch, planner, sim
+from jaxbiped import batch, files, planner, sim
 from jaxbiped.batch import part
 from jaxbiped.commands import walk
 from jaxbiped.commands.common import (
@@ -48,7 +48,7 @@ class Replay:
 def run(command: Replay) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
     number = whole("row", command.row, 0, 10**9)
-    folder = command.table.parent if command.table.is_file() else command.table
+    folder = command.table.parent if files.is_file(command.table) else command.table
     out = command.out or folder / f"replay-{number}"
     require_folder(out)
     try:

@@ -2,13 +2,14 @@
 
 import hashlib
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from jaxbiped import batch
+from jaxbiped import batch, files
 from jaxbiped.batch import summary
 from jaxbiped.commands import batches
 from jaxbiped.commands.common import (
@@ -41,13 +42,13 @@ def run(command: Report) -> dict[str, Any]:
         experiment, table = batch.open_table(command.table, say)
     except batch.StoreError as error:
         raise InputError(str(error)) from None
-    folder = command.table.parent if command.table.is_file() else command.table
+    folder = command.table.parent if files.is_file(command.table) else command.table
     out = command.out or folder / "report.html"
     if out.suffix != ".html":
         raise InputError(f"--out: got '{out}', allowed: a file name that ends in .html")
     require_folder(out.parent, out)
     key = table_key(experiment)
-    if out.exists() and not command.overwrite and not is_of(out, key):
+    if os.path.lexists(out) and not command.overwrite and not is_of(out, key):
         raise InputError(
             f"--out: got '{out}', which is there already and no page of this table, allowed: another file, or "
             "--overwrite"

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from tyro.conf import arg
 
-from jaxbiped import adapt, batch, planner, sim, tune
+from jaxbiped import adapt, batch, files, planner, sim, tune
 from jaxbiped.adapt import tunables
 from jaxbiped.batch import Choice, Uniform
 from jaxbiped.checked import nearest
@@ -38,8 +38,10 @@ from jaxbiped.commands.common import (
     load_robot,
     make_writable,
     plain,
+    refusing,
     require_folder,
     require_free,
+    say,
     whole,
     write,
 )
@@ -122,7 +124,7 @@ def check(command: Tune) -> None:
     if command.duration is not None:
         batches.numbers("--duration", [command.duration], "s", 0.1, 3600.0)
     params = load_robot("--robot", command.robot)
-    require_names(command.what, command.gait or own_gait(params))
+    require_names(command.what, own_gait(params) if command.gait is None else command.gait)
     if command.arm is not None and not command.arm.endswith(".toml"):
         for stage in _stages(command):
             _require_base(command.arm, stage)
@@ -169,7 +171,9 @@ def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
     """The problem, the scenarios held out, and the tables of the arm it starts from."""
     params = load_robot("--robot", command.robot)
     stages = _stages(command)
-    gait = make_gait(params, command.gait or own_gait(params), max(STEPS[s] for s in stages))
+    gait = make_gait(
+        params, own_gait(params) if command.gait is None else command.gait, max(STEPS[s] for s in stages)
+    )
     start, arm = _start(command, params, gait, stages)
     made = [
         batches.experiment(
@@ -267,7 +271,8 @@ def descend(
     """
     with batch.waiting("compiling, or a step under way", redraw=False):
         tuned = tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True), overwrite)
-    write(out / ARM_FILE, tune.arm_file(tuned, start, made_by))
+    _keep_before(out / ARM_FILE, text := tune.arm_file(tuned, start, made_by))
+    write(out / ARM_FILE, text)
     files = draw(lambda _: _draw(tuned, problem.experiment.robot.name), out)
     print(
         f"held out: loss {tuned.before['loss']:.4f} -> {tuned.after['loss']:.4f}, success "
@@ -287,3 +292,10 @@ def _draw(tuned: tune.Tuned, name: str) -> dict[str, Any]:
         "loss": descents.loss_curve(history, f"{name}: tuning {', '.join(names[:3])} ..."),
         "values": descents.value_curves(history, names, ranges, f"{name}: values while tuning"),
     }
+
+
+def _keep_before(file: Path, text: str) -> None:
+    """An arm that stands there and is another one, by more steps or by hand, is kept under another name."""
+    if files.is_file(file) and file.read_text(encoding="utf-8", errors="replace") != text:
+        with refusing(file, "a file that may be renamed"):
+            say(f"'{file}' was another one: kept as '{files.set_aside(file, 'before').name}'")

@@ -46,6 +46,8 @@ FIGURES = (
     "elkahlout_fig4_12_settling_zmp",
 )
 """Names of all figures that a walk may have."""
+FILES = (NUMBERS, *(f"{name}.png" for name in FIGURES), MOVIE)
+"""Names of all files that a walk may leave."""
 DRAWN_EVERY = 5
 """Samples of the trace between two that are drawn, but for close-ups and filters."""
 
@@ -116,8 +118,7 @@ def run(command: Walk) -> dict[str, Any]:
 
 def claim(setup: Setup, out: Path, overwrite: bool) -> None:
     """Make the folder; refuse it if files of another walk would be replaced, or drop them if that is allowed."""
-    names = (NUMBERS, *(f"{name}.png" for name in FIGURES), MOVIE)
-    ours = key_in(out / NUMBERS) == key_of(setup)
+    names, ours = FILES, key_in(out / NUMBERS) == key_of(setup)
     require_free(out, names, ours, overwrite)
     make_writable(out)
     for name in () if ours else names:

@@ -23,7 +23,7 @@ from jaxbiped.commands.choices import (
     simulation_options,
 )
 from jaxbiped.commands.common import InputError, load_robot
-from jaxbiped.sim.scenario import RANGES, require_swing_clears
+from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears
 
 ARMS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
 REFLEX_ARMS = (ORIGINAL, MODIFIED)
@@ -93,7 +93,7 @@ def set_up(
         InputError: if one of them cannot be used.
     """
     params = load_robot("--robot", robot_name)
-    gait_name = gait_name or own_gait(params)
+    gait_name = own_gait(params) if gait_name is None else gait_name
     gait, words = make_gait(params, gait_name, steps), list(arms)
     of_file = _of_file(words, params, gait)
     gait = gait if of_file is None else of_file.gait
@@ -222,7 +222,7 @@ def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
 def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
     scenario = sim.Scenario.flat(rectangles=max(8, len(pads)))
     for pad in pads:
-        scenario = scenario.with_obstacle(params, gait, pad.step, pad.height)
+        scenario = scenario.with_rectangle(*pad_under(params, gait, pad.step), pad.height)
     _refuse_overlaps(pads, scenario.terrain)
     try:
         sim.require_clear_start(params, gait, scenario.terrain)

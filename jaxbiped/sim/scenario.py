@@ -226,7 +226,17 @@ class Scenario(eqx.Module):
         lower, upper = pad_under(robot, gait, step)
         RANGES["height_m"].check("height", height)
         require_swing_clears(gait, {step: height})
+        self._require_apart(step, lower, upper)
         return self.with_rectangle(lower, upper, height)
+
+    def _require_apart(self, step: SupportsIndex, lower: np.ndarray, upper: np.ndarray) -> None:
+        """Refuse an obstacle over another one: their heights would add up to something nobody asked for."""
+        if not is_concrete(self.terrain):
+            return
+        low, high = np.asarray(self.terrain.lower), np.asarray(self.terrain.upper)
+        used = (low < high).all(axis=-1) & (np.asarray(self.terrain.height) != 0.0)
+        if (used & (low < upper).all(axis=-1) & (lower < high).all(axis=-1)).any():
+            raise Refusal(f"step {step}: got an obstacle that overlaps another one, allowed: obstacles apart")
 
     def with_payload(self, mass: Any, time: Any) -> "Scenario":
         """Attach a load [kg] to the front of the trunk at a time [s] since the start of the walk.

@@ -7,6 +7,7 @@ held-out scenarios say whether it was worth it. All that is known stands in one 
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbiped import batch, files
+from jaxbiped.batch import store
 from jaxbiped.tune import gradient, trust
 from jaxbiped.tune.gradient import Problem
 
@@ -233,6 +235,7 @@ def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
         "loss": _name(problem.loss),
         "arm": problem.arm,
         "settings": {**asdict(settings), "steps": 0},  # more steps go on with the same descent
+        "code": store.code(),
     }
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
@@ -250,9 +253,9 @@ def require_same(out: Path, problem: Problem, held_out: batch.Experiment, settin
         ValueError: naming the folder.
     """
     judge, path = Problem(held_out, problem.tunables, problem.loss, problem.arm), out / STATE
-    if path.exists() and _read(path, problem, judge, settings) is None:
+    if os.path.lexists(path) and _read(path, problem, judge, settings) is None:
         raise ValueError(
-            f"out: got '{out}' with the state of another descent, or one that cannot be read, in {STATE}, "
+            f"out: got '{out}' with the state of another descent, or one that was changed, in {STATE}, "
             "allowed: another folder, or overwrite it"
         )
 
@@ -261,7 +264,8 @@ def _read(path: Path, problem: Problem, judge: Problem, settings: Settings) -> D
     """The state in a file; None if it is of another descent or damaged."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        same = kept.pop("key") == _key(problem, judge, settings)
+        key, digest = kept.pop("key"), kept.pop("sha256")
+        same = key == _key(problem, judge, settings) and digest == _digest(kept)
         return Descent(**kept) if same else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
@@ -282,5 +286,11 @@ def _load(out: Path, problem: Problem, judge: Problem, settings: Settings, overw
 
 def _save(out: Path, state: Descent, problem: Problem, judge: Problem, settings: Settings) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"key": _key(problem, judge, settings), **asdict(state)}, indent=1)
-    files.write(out / STATE, text)
+    kept = json.loads(json.dumps(asdict(state)))
+    said = {"key": _key(problem, judge, settings), "sha256": _digest(kept), **kept}
+    files.write(out / STATE, json.dumps(said, indent=1))
+
+
+def _digest(kept: dict[str, Any]) -> str:
+    """Of a state as it stands in its file, so that one that was changed is not gone on with."""
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
