@@ -134,6 +134,42 @@ def test_tune_replaces_no_other_arm(tmp_path, capsys, monkeypatch):
     assert "tuned.toml" in line and (tmp_path / "tuned.toml").read_text() == "mine"
 
 
+def test_dry_run_refuses_what_the_run_refuses(tmp_path, capsys):
+    (tmp_path / "payload_success.png").write_text("mine")
+    assert "payload_success.png" in refused(capsys, *PAYLOAD, "--dry-run", "--out", str(tmp_path))
+
+
+def test_lost_description_is_made_again_beside_its_figures(finished, capsys, made_up):
+    (finished / "experiment.json").unlink()
+    assert cli.main([*PAYLOAD, "--out", str(finished)]) == cli.OK
+    assert made_up == [] and (finished / "experiment.json").exists()
+
+
+@pytest.mark.parametrize("name", ["walk.json", "khadiv_fig6_feet.png", "walk.gif"])
+def test_demo_claims_the_folder_of_its_recovery_too(tmp_path, capsys, made_up, name):
+    (tmp_path / "recovery").mkdir()
+    (tmp_path / "recovery" / name).write_text("mine")
+    assert name in refused(capsys, "demo", "--out", str(tmp_path)) and made_up == []
+
+
+def test_links_are_not_replaced_either(tmp_path, capsys):
+    (tmp_path / "robot.xml").symlink_to(tmp_path / "nowhere.xml")
+    line = refused(capsys, "export", "--robot", "surena3", "--out", str(tmp_path / "robot.xml"))
+    assert "is there already" in line and (tmp_path / "robot.xml").is_symlink()
+
+
+def test_an_arm_that_was_changed_by_hand_is_kept(tmp_path, capsys):
+    file = tmp_path / "tuned.toml"
+    file.write_text("mine")
+    tune._keep_before(file, "other")
+    assert (
+        tmp_path / "tuned.toml.before"
+    ).read_text() == "mine" and "tuned.toml.before" in capsys.readouterr().err
+    file.write_text("other")
+    tune._keep_before(file, "other")
+    assert file.exists() and capsys.readouterr().err == ""
+
+
 # Tables first -----------------------------------------------------------------------------------------------------
 
 
@@ -316,6 +352,13 @@ def test_the_nearest_name_is_offered(capsys, args, says):
 
 
 WRONG = [
+    (("payload", "--out", ""), "payload: got an empty argument ('')"),
+    (("payload", "--gait="), "payload: got an empty argument (--gait=)"),
+    (("payload", "--dry-run", "--steps", "0"), "--steps: got 0, allowed: 1 to 200"),
+    (("payload", "--dry-run", "--out", "a" * 300), "--out: got 'aaa"),
+    (("replay", "a" * 300, "0"), "--out: got 'aaa"),
+    (("report", "a" * 300), "table: got 'aaa"),
+    (("export", "--robot", "surena3", "--out", "a" * 300 + ".xml"), "--out: got 'aaa"),
     (("demo", "--out"), "--out: got no value, allowed"),
     (("walk", "--robot", "surena3", "--steps", "two"), "--steps: got 'two', allowed: a whole number"),
     (("payload", "--loads", "five"), "--loads: got 'five', allowed: a number"),
@@ -370,3 +413,27 @@ def test_finished_results_stay_usable_where_the_folder_is_copied(finished, tmp_p
     shutil.copytree(finished, tmp_path / "copy")
     assert cli.main([*PAYLOAD, "--out", str(tmp_path / "copy")]) == cli.OK
     assert made_up == []
+
+
+def console(*args: str, **how) -> subprocess.CompletedProcess:
+    command = [Path(sys.executable).with_name("jaxbiped"), *args]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, **how)
+
+
+def test_output_that_cannot_be_written_is_one_line(tmp_path):
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full")
+    with open("/dev/full", "w") as full:
+        done = console("export", "--robot", "surena3", "--out", str(tmp_path / "x.xml"), stdout=full)
+    assert done.returncode == cli.FAILED and (tmp_path / "x.xml").exists()
+    assert done.stderr == "jaxbiped: output: No space left on device\n"
+
+
+def test_signs_that_a_terminal_does_not_know_stop_nothing(made_up, tmp_path, monkeypatch):
+    import io
+
+    out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", out)
+    assert cli.main([*PAYLOAD, "--out", str(tmp_path)]) == cli.OK
+    out.flush()
+    assert b"load [kg]" in out.buffer.getvalue() and b"?" in out.buffer.getvalue()

@@ -205,7 +205,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
         "distributed.worker.memory.pause": False,
         "distributed.worker.memory.terminate": False,
     }
-    with config.set(settings), _silence(), _main_guard(settings["distributed.nanny.pre-spawn-environ"]):
+    with config.set(settings), _silence(), _main_guard():
         if scheduler is not None:
             _greet(scheduler)
             with distributed.Client(scheduler, timeout=f"{CONNECT_S}s", set_as_default=False) as client:
@@ -226,11 +226,12 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
 
 
 @contextlib.contextmanager
-def _main_guard(environment: dict[str, Any]) -> Generator[None, None, None]:
+def _main_guard() -> Generator[None, None, None]:
     """Say in one line that a script has no `if __name__ == "__main__":`, instead of all that comes of it."""
     with tempfile.TemporaryDirectory(prefix="jaxbiped-") as folder:
         word = Path(folder) / "unguarded"
-        environment[UNGUARDED] = str(word)
+        before = os.environ.get(UNGUARDED)
+        os.environ[UNGUARDED] = str(word)  # workers inherit it
         try:
             yield
         except Exception:
@@ -240,6 +241,10 @@ def _main_guard(environment: dict[str, Any]) -> Generator[None, None, None]:
                 "workers: got a script that starts itself in every worker, allowed: 1 worker, or a script that runs "
                 "what it does under `if __name__ == '__main__':`"
             ) from None
+        finally:
+            os.environ.pop(UNGUARDED, None)
+            if before is not None:
+                os.environ[UNGUARDED] = before
 
 
 def _greet(scheduler: str) -> None:

@@ -214,7 +214,13 @@ def test_description_changed_by_hand_is_not_believed(folder):
         folder.run()
 
 
-@pytest.mark.parametrize("changed", [{"key": "0" * 64}, {"key": None}, {"format": 3}, {"format": "new"}])
+BROKEN_KEYS = [{"key": "0" * 64}, {"key": None}, *({"format": f} for f in (1, 3, True, "new"))]
+
+
+@pytest.mark.parametrize("changed", BROKEN_KEYS)
+    "changed",
+    [{"key": "0" * 64}, {"key": None}, {"format": 1}, {"format": 3}, {"format": True}, {"format": "new"}],
+)
 def test_description_whose_key_or_format_was_changed_is_made_again(folder, changed):
     file = folder.path / store.EXPERIMENT
     described = json.loads(file.read_text())
@@ -302,3 +308,89 @@ def test_a_part_of_version_0_1_is_judged_by_its_rows(tmp_path):
     said = []
     _, rows = batch.open_table(tmp_path / "old", said.append)
     assert rows["row"].to_list() == [0, 1] and len(said) == 1 and second.name in said[0]
+
+
+def forge(folder: Folder, number: int, change) -> Path:
+    """A part with a right checksum and other rows."""
+    one, chunk = store.Store(folder.path, folder.one), folder.one.chunks[number]
+    file = folder.part(number)
+    rows = change(one.read(chunk))
+    file.write_bytes(store.sealed(rows, {"key": one.key, **store._identity(chunk)}))
+    return file
+
+
+FORGERIES = {
+    "null success": lambda rows: rows.with_columns(success=pl.lit(None, pl.Boolean)),
+    "success as number": lambda rows: rows.with_columns(pl.col("success").cast(pl.Int64)),
+    "unknown status": lambda rows: rows.with_columns(status=pl.lit("walked")),
+    "no status": lambda rows: rows.drop("status"),
+    "undeclared column": lambda rows: rows.with_columns(foot_temperature_K=pl.lit(300.0)),
+    "inputs in float32": lambda rows: rows.with_columns(pl.col("friction").cast(pl.Float32)),
+    "rows in another order": lambda rows: rows.reverse(),
+    "rows missing": lambda rows: rows.head(3),
+    "no rows": lambda rows: rows.clear(),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_part_is_not_believed_for_its_checksum_alone(folder, name):
+    file = forge(folder, 1, FORGERIES[name])
+    folder.run()
+    assert folder.made == [1] and len(folder.said) == 1 and str(file) in folder.said[0]
+    assert (folder.path / store.TABLE).read_bytes() == folder.table
+
+
+@pytest.mark.parametrize("said", [{}, [], "x", None])
+def test_a_part_that_does_not_say_whose_it_is(folder, said):
+    rows = store.Store(folder.path, folder.one).read(folder.one.chunks[1])
+    content = store._parquet(rows, {store.SEAL: json.dumps([said, {"sha256": store._NO_SUM}])})
+    digest = store.hashlib.sha256(content).hexdigest()
+    folder.part(1).write_bytes(content.replace(store._NO_SUM.encode(), digest.encode()))
+    folder.run()
+    assert folder.made == [1] and (folder.path / store.TABLE).read_bytes() == folder.table
+
+
+@pytest.mark.parametrize("what", ["table", "part", "scenarios"])
+@pytest.mark.parametrize("how", ["folder", "dangling link"])
+def test_what_is_no_file_is_set_aside(folder, what, how):
+    files = {
+        "table": folder.path / store.TABLE,
+        "part": folder.part(2),
+        "scenarios": folder.path / store.SCENARIOS,
+    }
+    file = files[what]
+    file.unlink()
+    if how == "folder":
+        (file / "mine").mkdir(parents=True)
+    else:
+        file.symlink_to("/nowhere/mine")
+    folder.run()
+    assert (folder.path / store.TABLE).read_bytes() == folder.table and len(folder.said) == 1
+    aside = file.with_name(f"{file.name}.damaged")
+    assert (aside / "mine").exists() if how == "folder" else aside.is_symlink()
+
+
+def test_parts_that_are_a_file_are_refused_by_plan_and_run(surena, made, tmp_path):
+    (tmp_path / store.PARTS).write_text("mine")
+    for call in (batch.plan, batch.run):
+        with pytest.raises(batch.StoreError, match="parts' is a file"):
+            call(experiment(surena), tmp_path)
+    assert (tmp_path / store.PARTS).read_text() == "mine" and made == []
+
+
+def test_checksums_cannot_be_switched_off(folder):
+    """A folder that says nothing of its format is of version 0.1; parts that carry a checksum are held to it."""
+    file = folder.path / store.EXPERIMENT
+    described = json.loads(file.read_text())
+    del described["format"]
+    file.write_text(json.dumps(described))
+    rotten(folder.part(1))
+    _, rows = batch.open_table(folder.path, folder.said.append)
+    assert rows.height == 32 and len(folder.said) == 1
+
+
+@pytest.mark.parametrize("name", ["", "a" * 300, "a\0b"])
+def test_names_that_no_folder_can_have(surena, made, name):
+    for call in (batch.plan, batch.run):
+        with pytest.raises(batch.StoreError, match=r"out: got .* allowed: a folder"):
+            call(experiment(surena), name)

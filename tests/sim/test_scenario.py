@@ -245,3 +245,14 @@ def test_batches_of_terrain(walks):
     require_clear_start(biped, gait, jax.tree.map(lambda *leaves: np.stack(leaves), clear, clear))
     require_clear_start(biped, gait, Scenario.flat(0).terrain)
     jax.jit(lambda terrain: require_clear_start(biped, gait, terrain) or terrain.height)(not_clear)
+
+
+def test_obstacles_do_not_lie_on_each_other(walks):
+    """Their heights would add up."""
+    params, gait = walks["surena3", "polynomial"]
+    once = FLAT.with_obstacle(params, gait, 2, 0.02)
+    with pytest.raises(
+        ValueError, match="step 2: got an obstacle that overlaps another one, allowed: obstacles apart"
+    ):
+        once.with_obstacle(params, gait, 2, 0.02)
+    assert once.with_obstacle(params, gait, 4, 0.02).terrain.height[1] == pytest.approx(0.02)

@@ -121,6 +121,39 @@ def test_fewer_steps_than_were_made_end_it(bowl, problem, tmp_path):
     assert descent.tune(problem, problem.experiment, tmp_path, replace(SETTINGS, steps=4)).descent.step == 7
 
 
+EDITS = {
+    "better than it was": lambda kept: kept["best"].update(held_out_success=2.0),
+    "values out of range": lambda kept: kept["best"].update(at=[9.0, 9.0, 9.0]),
+    "no values": lambda kept: kept.update(best={}),
+    "another step": lambda kept: kept.update(step=3),
+    "no history": lambda kept: kept.update(history=[]),
+    "another type": lambda kept: kept.update(z="x"),
+    "no checksum": lambda kept: kept.pop("sha256"),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_a_state_that_was_changed_is_not_gone_on_with(bowl, problem, tmp_path, name):
+    settings, file = replace(SETTINGS, steps=6), tmp_path / descent.STATE
+    descent.tune(problem, problem.experiment, tmp_path, settings)
+    kept = json.loads(file.read_text())
+    EDITS[name](kept)
+    file.write_text(json.dumps(kept))
+    before = file.read_bytes()
+    with pytest.raises(ValueError, match="another descent, or one that was changed"):
+        descent.tune(problem, problem.experiment, tmp_path, replace(settings, steps=9))
+    assert file.read_bytes() == before
+    descent.tune(problem, problem.experiment, tmp_path, settings, overwrite=True)
+
+
+def test_a_descent_of_other_code_is_another_one(bowl, problem, tmp_path, monkeypatch):
+    settings = replace(SETTINGS, steps=3)
+    descent.tune(problem, problem.experiment, tmp_path, settings)
+    monkeypatch.setattr("jaxbiped.batch.store.source_hash", lambda: "0" * 64)
+    with pytest.raises(ValueError, match="another descent"):
+        descent.tune(problem, problem.experiment, tmp_path, settings)
+
+
 def test_the_folder_of_another_descent_is_refused(bowl, problem, tmp_path):
     descent.tune(problem, problem.experiment, tmp_path, replace(SETTINGS, steps=2))
     with pytest.raises(ValueError, match="another descent"):
