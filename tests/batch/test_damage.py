@@ -218,9 +218,6 @@ BROKEN_KEYS = [{"key": "0" * 64}, {"key": None}, *({"format": f} for f in (1, 3,
 
 
 @pytest.mark.parametrize("changed", BROKEN_KEYS)
-    "changed",
-    [{"key": "0" * 64}, {"key": None}, {"format": 1}, {"format": 3}, {"format": True}, {"format": "new"}],
-)
 def test_description_whose_key_or_format_was_changed_is_made_again(folder, changed):
     file = folder.path / store.EXPERIMENT
     described = json.loads(file.read_text())
