@@ -46,6 +46,8 @@ COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
 }
 """The record of a command's arguments, and what carries it out."""
 _HELP = ("-h", "--help")
+_REPEATED = ("--obstacle", "--payload", "--arm")
+"""Arguments of `walk` that may be given several times."""
 _TITLES = ("Missing argument", "Value error", "Required options", "Unrecognized options")
 """Of tyro's boxes of complaints."""
 _WORDS = {"INT": "a whole number", "FLOAT": "a number", "PATH": "a path", "STR": "a text"}
@@ -100,7 +102,7 @@ def _parse(args: list[str]) -> tuple[str, Any]:
     if name not in COMMANDS:
         known = (*COMMANDS, "--help", "--version")
         raise InputError(
-            f"command: got '{name}', allowed: {names}, or --help, --version{nearest(name, known)}"
+            f"command: got '{name}', allowed: {names}, or --help, --version{nearest(name.lower(), known)}"
         )
     record = COMMANDS[name][0]
     _refuse_unknown(name, record, rest)
@@ -119,7 +121,7 @@ def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
     known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(record)]
     known = [option for option in known if option not in ("--table", "--row")] if name == "replay" else known
     known = [option for option in known if option != "--table"] if name == "report" else known
-    switched = [f"--no-{option[2:]}" for option in known]
+    switched, given = [f"--no-{option[2:]}" for option in known], set()
     for word in args:
         if not word or (word.endswith("=") and word.startswith("--")):
             raise InputError(f"{name}: got an empty argument ({word or chr(39) * 2}), allowed: a value")
@@ -127,8 +129,11 @@ def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
         if option.startswith("--") and option not in (*known, *switched, *_HELP):
             raise InputError(
                 f"{option}: got an argument that '{name}' does not have, allowed: {', '.join(known)}"
-                f"{nearest(option, known)}"
+                f"{nearest(option.lower(), known)}"
             )
+        if option in given and not (name == "walk" and option in _REPEATED):
+            raise InputError(f"{option}: got it twice, allowed: once, with all its values")
+        given.update([option] if option.startswith("--") else [])
 
 
 def _in_one_line(name: str, box: str) -> str:

@@ -337,6 +337,9 @@ def test_version(capsys):
 
 MEANT = [
     (("dmeo",), "did you mean 'demo'?"),
+    (("WALK",), "did you mean 'walk'?"),
+    (("payload", "--OUT", "x"), "did you mean '--out'?"),
+    (("payload", "--dry-run", "--arm", "modifed"), "did you mean 'modified'?"),
     (("--versoin",), "did you mean '--version'?"),
     (("payload", "--workrs", "3"), "did you mean '--workers'?"),
     (("payload", "--dry_rum"), "did you mean '--dry-run'?"),
@@ -352,6 +355,7 @@ def test_the_nearest_name_is_offered(capsys, args, says):
 
 
 WRONG = [
+    (("payload", "--loads", "5", "--loads", "10"), "--loads: got it twice, allowed: once"),
     (("payload", "--out", ""), "payload: got an empty argument ('')"),
     (("payload", "--gait="), "payload: got an empty argument (--gait=)"),
     (("payload", "--dry-run", "--steps", "0"), "--steps: got 0, allowed: 1 to 200"),

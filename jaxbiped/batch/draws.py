@@ -64,8 +64,10 @@ class Choice:
 
     def __post_init__(self) -> None:
         """Refuse an empty choice, and values that are no finite numbers."""
-        if isinstance(self.values, str) or not len(self.values):
-            raise ValueError(f"choice: got {self.values!r}, allowed: at least one finite number")
+        if not isinstance(self.values, Sequence | np.ndarray) or isinstance(self.values, str | bytes):
+            raise ValueError(f"choice: got {self.values!r}, allowed: a list of finite numbers")
+        if not len(self.values):
+            raise ValueError("choice: got no values, allowed: at least one finite number")
         for value in self.values:
             _finite("choice", value)
 

@@ -26,6 +26,10 @@ LANE_STEP = 8
 """Chunks are a multiple of this, so that grids of nearly the same size share what was compiled."""
 
 
+_KINDS = {"robot": RobotParams, "arms": Mapping, "scenarios": pl.DataFrame, "options": Options}
+"""What the parts of an experiment are."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A robot, named controllers for it, and the scenarios all of them meet (paired).
@@ -54,11 +58,20 @@ class Experiment:
 
     def __post_init__(self, judge: bool) -> None:
         """Refuse what cannot be simulated."""
+        for name, kind in _KINDS.items():
+            if not isinstance(getattr(self, name), kind):
+                raise ValueError(
+                    f"{name}: got a {type(getattr(self, name)).__name__}, allowed: a {kind.__name__}"
+                )
         if not self.arms:
             raise ValueError("arms: got none, allowed: at least one")
         for name in self.arms:
             if not isinstance(name, str) or not name or not name.isprintable():
                 raise ValueError(f"arms: got the name {name!r}, allowed: a text on one line")
+            if not isinstance(self.arms[name], Controller):
+                raise ValueError(
+                    f"arms: got a {type(self.arms[name]).__name__} as '{name}', allowed: a Controller"
+                )
         if self.duration is not None:
             object.__setattr__(self, "duration", DURATION.check("duration", self.duration))
         if self.batch is not None:

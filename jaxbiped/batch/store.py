@@ -134,6 +134,11 @@ class Store:
                 self._set_aside(file, why)
         except OSError as error:
             raise _refusal(self.folder, error) from error
+        self._describe()
+        return found
+
+    def _describe(self) -> None:
+        """Write what says what the folder holds, where it is missing."""
         if not (self.folder / SCENARIOS).exists():
             write_frame(self.folder / SCENARIOS, self.experiment.table)
         if not (self.folder / EXPERIMENT).exists():
@@ -145,7 +150,6 @@ class Store:
                 "machine": _machine(),
             }
             _write(self.folder / EXPERIMENT, json.dumps(said, indent=1))
-        return found
 
     def part(self, chunk: Chunk) -> Path:
         """File of a chunk."""
@@ -182,6 +186,7 @@ class Store:
             self._set_aside(file, "it is not what its parts say")
         if not file.exists():
             _write(file, content)
+        self._describe()  # if somebody took it away meanwhile
         return rows
 
     @property

@@ -13,6 +13,7 @@ from jaxbiped import adapt, batch, robot
 from jaxbiped.batch import columns, progress, store, summary
 from jaxbiped.batch.experiment import MAX_BATCH
 from jaxbiped.batch.run import MAX_WORKERS
+from jaxbiped.checked import nearest
 from jaxbiped.commands.choices import landing_of, load_arm, reflex_of
 from jaxbiped.commands.common import InputError, make_writable, require_folder, require_free, say, whole
 
@@ -106,6 +107,7 @@ def _arms(names: Iterable[str], allowed: tuple[str, ...], params: Any, gait: Any
         else:
             raise InputError(
                 f"--arm: got '{name}', allowed: {', '.join(allowed)}, or a file that ends in .toml"
+                f"{nearest(name, allowed)}"
             )
     if not found:
         raise InputError(f"--arm: got none, allowed: {', '.join(allowed)}, or a file that ends in .toml")

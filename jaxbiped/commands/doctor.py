@@ -16,6 +16,8 @@ import numpy as np
 from jaxbiped import kinematics, planner, robot, runtime
 
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars", "tyro")
+PLAIN_JIT = jax.jit
+"""What a user's own functions are compiled with."""
 EXTRAS = {"matplotlib": "viz", "distributed": "cluster"}
 """Packages of the extras, and which extra brings them."""
 
@@ -127,7 +129,7 @@ def _arithmetic() -> Finding:
         x = np.zeros((32_769, 3), np.float32)
         x[:, 0] = np.arange(len(x))
         wanted = x[:, 0] ** 2
-        theirs, ours = (np.asarray(compiled(squares)(x)) for compiled in (jax.jit, runtime.jit))
+        theirs, ours = (np.asarray(compiled(squares)(x)) for compiled in (PLAIN_JIT, runtime.jit))
     wrong = [float(np.max(np.abs(got - wanted) / np.maximum(wanted, 1.0))) for got in (theirs, ours)]
     cure = "pip install 'jax!=0.10.2,!=0.11.0,!=0.11.1'"
     if wrong[1] > 1e-5:

@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxbiped import batch, files
 from jaxbiped.batch import store
+from jaxbiped.checked import Quantity, whole
 from jaxbiped.tune import gradient, trust
 from jaxbiped.tune.gradient import Problem
 
@@ -50,11 +51,10 @@ class Settings:
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
         for name in ("steps", "scenarios", "trust_every", "held_out_every", "patience", "pairs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: got {getattr(self, name)}, allowed: >= 1")
+            whole(name, getattr(self, name), 1, 1_000_000)
+        whole("seed", self.seed, 0, 2**31 - 1)
         for name in ("rate", "sigma"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name}: got {getattr(self, name):g}, allowed: > 0 and <= 1")
+            Quantity(low=0.0, high=1.0, above=True).check(name, getattr(self, name))
 
 
 @dataclass
