@@ -97,6 +97,12 @@ def test_somebody_elses_figure_is_not_replaced(tmp_path, capsys, made_up, name):
     assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
 
 
+def test_an_empty_folder_of_parts_does_not_make_a_figure_ours(tmp_path, capsys, made_up):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "payload_success.png").write_text("mine")
+    assert "payload_success.png" in refused(capsys, *PAYLOAD, "--out", str(tmp_path)) and made_up == []
+
+
 def test_same_command_again_goes_on_and_says_the_same(finished, capsys, made_up):
     table = (finished / "table.parquet").read_bytes()
     assert cli.main([*PAYLOAD, "--out", str(finished)]) == cli.OK

@@ -79,31 +79,29 @@ class Store:
         self.description = {"experiment": experiment.resolved, "code": code()}
         self.key = _key(self.description)
 
-    def inspect(self) -> Found:
-        """Look at what is there, and change nothing.
+    def require_usable(self) -> None:
+        """Look whether the folder can be used, without looking at its parts; nothing is changed.
 
         Raises:
-            StoreError: if the folder cannot be used, or holds another experiment and `overwrite` does not allow it.
+            StoreError: if it cannot be written, or holds another experiment and `overwrite` does not allow it.
         """
-        if why := files.why_not_writable(self.folder):
+        if why := files.why_not_writable(self.folder / PARTS):
             raise StoreError(
                 f"out: got '{self.folder}' ({why}), allowed: a folder that can be made and written"
             )
-        try:
-            return self._inspect()
-        except OSError as error:
-            raise _refusal(self.folder, error) from error
+        if not self.overwrite and self._holds_another():
+            self._refuse_another()
 
-    def _inspect(self) -> Found:
-        damaged: dict[Path, str] = {}
-        if os.path.lexists(self.folder / PARTS) and (why := files.why_not_writable(self.folder / PARTS)):
-            raise StoreError(
-                f"out: got '{self.folder}' ({why}), allowed: a folder that can be made and written"
-            )
+    def inspect(self) -> Found:
+        """Look at what is there, every part included, and change nothing.
+
+        Raises:
+            StoreError: as `require_usable`.
+        """
+        self.require_usable()
         if self._holds_another():
-            if not self.overwrite:
-                self._refuse_another()
             return Found({}, {})
+        damaged: dict[Path, str] = {}
         if (self.folder / EXPERIMENT).exists() and (why := self._description_damage()):
             damaged[self.folder / EXPERIMENT] = why
         if os.path.lexists(self.folder / SCENARIOS) and (why := self._scenarios_damage()):
@@ -191,10 +189,12 @@ class Store:
 
     @property
     def ours(self) -> bool:
-        """Whether the folder holds this experiment already, wholly or in part."""
-        return not self._holds_another() and any(
-            (self.folder / name).exists() for name in (EXPERIMENT, SCENARIOS, PARTS)
-        )
+        """Whether the folder says, by its description or by its parts, that it holds this experiment."""
+        described = self._description() is not None and not self._holds_another()
+        return described or self._has_own_parts()
+
+    def _has_own_parts(self) -> bool:
+        return any(self.folder.glob(f"{PARTS}/{self.key[:16]}-*.parquet"))
 
     def _description(self) -> dict[str, Any] | None:
         """What the folder says it holds; None if it says nothing that can be read."""
@@ -221,7 +221,7 @@ class Store:
 
     def _foreign(self) -> str | None:
         """A file that is not of this experiment, in a folder that does not say what it holds."""
-        if any(self.folder.glob(f"{PARTS}/{self.key[:16]}-*.parquet")):
+        if self._has_own_parts():
             return None  # its parts say whose it is
         for name in (EXPERIMENT, TABLE):
             if (self.folder / name).exists():

@@ -146,7 +146,7 @@ def claim(experiment: batch.Experiment, command: Command, figures: Iterable[str]
     """Refuse a folder that holds something else; nothing is touched."""
     there = store.Store(command.out, experiment, command.overwrite)
     try:
-        there.inspect()
+        there.require_usable()
     except batch.StoreError as error:
         raise InputError(_as_argument(str(error))) from None
     require_free(command.out, figures, there.ours, command.overwrite)
