@@ -21,9 +21,9 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """Largest file that is read."""
-MOST_DEPTH = 16
+MAX_DEPTH = 16
 """Deepest nesting of arrays, tables and dotted keys in a file."""
 _LONGEST = 80
 """Characters of a value that a refusal shows."""
@@ -319,22 +319,22 @@ def read_toml(file: Path | Traversable, error: type[Refusal] = Refusal) -> dict[
     """Read a TOML file in UTF-8, with or without a byte-order mark.
 
     Args:
-        file: to be read, at most MOST_BYTES long and nested MOST_DEPTH deep.
+        file: to be read, at most MAX_BYTES long and nested MAX_DEPTH deep.
         error: what to raise, with the file's name and, where known, the line.
     """
     try:
         if not file.is_file():
             raise error(f"{file.name}: got no file, allowed: a TOML file")
         with file.open("rb") as stream:
-            return parse_toml(file.name, stream.read(MOST_BYTES + 1), error)
+            return parse_toml(file.name, stream.read(MAX_BYTES + 1), error)
     except OSError as problem:
         raise error(f"{file.name}: cannot be read ({problem.strerror}), allowed: a TOML file") from None
 
 
 def parse_toml(name: str, content: bytes, error: type[Refusal] = Refusal) -> dict[str, Any]:
     """Parse the content of a TOML file; `name` is that of the file, the rest is as in `read_toml`."""
-    if len(content) > MOST_BYTES:
-        raise error(f"{name}: got more than {MOST_BYTES} bytes, allowed: at most {MOST_BYTES}")
+    if len(content) > MAX_BYTES:
+        raise error(f"{name}: got more than {MAX_BYTES} bytes, allowed: at most {MAX_BYTES}")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -364,6 +364,6 @@ def _refuse_depth(name: str, text: str, error: type[Refusal]) -> None:
                 dots += 1
             case "=" | "," | "\n":
                 dots = 0
-        if brackets > MOST_DEPTH or dots >= MOST_DEPTH:
+        if brackets > MAX_DEPTH or dots >= MAX_DEPTH:
             line = text.count("\n", 0, token.start()) + 1
-            raise error(f"{name}: got a deeper nesting (at line {line}), allowed: {MOST_DEPTH} levels")
+            raise error(f"{name}: got a deeper nesting (at line {line}), allowed: {MAX_DEPTH} levels")

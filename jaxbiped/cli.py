@@ -46,6 +46,8 @@ COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
 }
 """The record of a command's arguments, and what carries it out."""
 _HELP = ("-h", "--help")
+_PLACES = {"replay": ("--table", "--row"), "report": ("--table",)}
+"""Arguments that are known by their place, not by their name."""
 _REPEATED = ("--obstacle", "--payload", "--arm")
 """Arguments of `walk` that may be given several times."""
 _TITLES = ("Missing argument", "Value error", "Required options", "Unrecognized options")
@@ -119,8 +121,7 @@ def _parse(args: list[str]) -> tuple[str, Any]:
 def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
     """Refuse an argument that the command does not have, before anything else is looked at."""
     known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(record)]
-    known = [option for option in known if option not in ("--table", "--row")] if name == "replay" else known
-    known = [option for option in known if option != "--table"] if name == "report" else known
+    known = [option for option in known if option not in _PLACES.get(name, ())]
     switched, given = [f"--no-{option[2:]}" for option in known], set()
     for word in args:
         if not word or (word.endswith("=") and word.startswith("--")):

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from jaxbiped import checked
-from jaxbiped.checked import MOST_BYTES, MOST_DEPTH, Flag, Quantity, Refusal, Word
+from jaxbiped.checked import MAX_BYTES, MAX_DEPTH, Flag, Quantity, Refusal, Word
 
 LENGTH = Quantity("m", 0.02, 2.0)
 GAINS = Quantity("N m/rad", 1e-3, 1e7, shapes=((6,),))
@@ -253,7 +253,7 @@ WRONG = {
     "dotted tables": b"[" + b" . ".join([b'"a"'] * DEEP) + b"]",
     "dotted inline": b"x = {" + b".".join([b"a"] * DEEP) + b" = 1}",
     "brackets after four quotes": b'a = ["""" """", ' + b"[" * DEEP,
-    "long": b"# " + b"x" * MOST_BYTES,
+    "long": b"# " + b"x" * MAX_BYTES,
     "long number": b"\n\na = " + b"9" * 5000,
     "latin 1": "a = 1\nb = 'ü'".encode("latin-1"),
     "utf 16": "a = 1".encode("utf-16"),
@@ -338,7 +338,7 @@ def test_any_bytes_are_read_or_refused(content):
         assert str(error).startswith("any.toml: ") and str(error).isprintable()
     else:
         assert repr(read) == repr(tomllib.loads(content.decode("utf-8-sig")))
-        assert depth_of(read) <= 3 * MOST_DEPTH
+        assert depth_of(read) <= 3 * MAX_DEPTH
 
 
 def depth_of(value) -> int:

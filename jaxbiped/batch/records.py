@@ -5,6 +5,8 @@ fields are arrays, plain values, or records. Only these classes are ever made ag
 """
 
 import dataclasses
+import hashlib
+import json
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -118,6 +120,11 @@ def from_json(data: Any) -> Any:
     if "dict" in data:
         return {key: from_json(item) for key, item in data["dict"].items()}
     return _record(data)
+
+
+def digest(data: Any) -> str:
+    """SHA-256 of a JSON value, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:

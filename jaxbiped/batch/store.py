@@ -77,7 +77,7 @@ class Store:
     def __init__(self, folder: Path, experiment: Experiment, overwrite: bool = False, tell: Tell = to_stderr):
         self.folder, self.experiment, self.overwrite, self.tell = folder, experiment, overwrite, tell
         self.description = {"experiment": experiment.resolved, "code": code()}
-        self.key = _key(self.description)
+        self.key = records.digest(self.description)
 
     def require_usable(self) -> None:
         """Look whether the folder can be used, without looking at its parts; nothing is changed.
@@ -289,7 +289,7 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
         key, version = described["key"], described.get("format")
         if version is not None and (type(version) is not int or version != FORMAT):
             raise ValueError(f"its format is {version!r}, this version reads {FORMAT}")
-        if key != _key({name: described[name] for name in ("experiment", "code")}):
+        if key != records.digest({name: described[name] for name in ("experiment", "code")}):
             raise DamagedError(f"{EXPERIMENT} was changed: its key is not that of what it says")
         scenarios = _require_scenarios(folder / SCENARIOS, described["experiment"]["scenarios"]["sha256"])
         experiment = Experiment.from_resolved(described["experiment"], scenarios)
@@ -456,10 +456,6 @@ def source_hash() -> str:
             digest.update(str(file.relative_to(root)).encode())
             digest.update(file.read_bytes())
     return digest.hexdigest()
-
-
-def _key(description: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
 def _versions() -> dict[str, str]:

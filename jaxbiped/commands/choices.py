@@ -22,6 +22,11 @@ STAGES: dict[str, dict[str, checked.Field]] = {
 """What the tables of the stages in the file of an arm may hold."""
 
 
+def gait_name(given: str | None, params: robot.RobotParams) -> str:
+    """The gait that was asked for, else that of the robot's own paper."""
+    return own_gait(params) if given is None else given
+
+
 def own_gait(params: robot.RobotParams) -> str:
     """Name of the gait of the robot's own paper, or of the paper of the robot it walks like."""
     return OWN_GAIT.get(params.preset_name, "polynomial")

@@ -1,6 +1,5 @@
 """`jaxbiped demo`: the main job in the small, on both robots: plans, a grid of loads, a grid of obstacles, one page."""
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ import polars as pl
 from tyro.conf import arg
 
 from jaxbiped import adapt, batch, kinematics, planner, robot, sim
-from jaxbiped.batch import store
+from jaxbiped.batch import records, store
 from jaxbiped.batch.run import MAX_WORKERS
 from jaxbiped.commands import batches, obstacles, payload, replay, walk
 from jaxbiped.commands.choices import clock_start
@@ -136,7 +135,7 @@ def _obstacles(command: Demo) -> obstacles.Obstacles:
 
 def _claim(command: Demo) -> str:
     """Refuse folders that hold something else, before anything is done; returns the key of this demonstration."""
-    key = hashlib.sha256(json.dumps(store.code(), sort_keys=True).encode()).hexdigest()
+    key = records.digest(store.code())
     names = (NUMBERS, PAGE, *(f"{name}.png" for name in FIGURES))
     names += tuple(f"{RECOVERED}/{name}" for name in walk.FILES)
     require_free(command.out, names, key_in(command.out / NUMBERS) == key, command.overwrite)

@@ -9,7 +9,7 @@ from tyro.conf import arg
 
 from jaxbiped import batch
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import LANDINGS, make_gait, own_gait, simulation_options
+from jaxbiped.commands.choices import LANDINGS, gait_name, make_gait, simulation_options
 from jaxbiped.commands.common import InputError, draw, load_robot
 
 FIGURES = ("obstacles.png",)
@@ -66,7 +66,7 @@ def set_up(command: Obstacles) -> batch.Experiment:
     """The experiment."""
     params = load_robot("--robot", command.robot)
     heights = batches.numbers("--heights", command.heights, "m", DEEPEST, HIGHEST)
-    gait = make_gait(params, own_gait(params) if command.gait is None else command.gait, command.steps)
+    gait = make_gait(params, gait_name(command.gait, params), command.steps)
     if not command.step or len(set(command.step)) < len(command.step):
         raise InputError(f"--step: got {command.step}, allowed: one or more steps, each once")
     for step in command.step:

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from jaxbiped import batch, sim
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import REFLEXES, clock_start, make_gait, own_gait, simulation_options
+from jaxbiped.commands.choices import REFLEXES, clock_start, gait_name, make_gait, simulation_options
 from jaxbiped.commands.common import InputError, draw, load_robot
 
 FIGURES = ("payload_success.png", "payload_pitch.png")
@@ -73,7 +73,7 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
     params = load_robot("--robot", command.robot)
     loads = batches.numbers("--loads", command.loads, "kg", 0.0, float(params.total_mass))
     times = batches.numbers("--times", command.times, "s", 0.0, LATEST)
-    name = own_gait(params) if command.gait is None else command.gait
+    name = gait_name(command.gait, params)
     gait = make_gait(params, name, 1)
     since_liftoff = max(times) + clock_start(gait) - float(gait.timing.first_liftoff)
     last = max(0, math.floor(since_liftoff / float(gait.timing.T_c)))

@@ -1,7 +1,5 @@
 """`jaxbiped report`: one self-contained page of a results table."""
 
-import hashlib
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from jaxbiped import batch, files
-from jaxbiped.batch import summary
+from jaxbiped.batch import records, summary
 from jaxbiped.commands import batches
 from jaxbiped.commands.common import (
     OVERWRITE_HELP,
@@ -47,7 +45,7 @@ def run(command: Report) -> dict[str, Any]:
     if out.suffix != ".html":
         raise InputError(f"--out: got '{out}', allowed: a file name that ends in .html")
     require_folder(out.parent, out)
-    key = table_key(experiment)
+    key = records.digest(experiment.resolved)
     if os.path.lexists(out) and not command.overwrite and not is_of(out, key):
         raise InputError(
             f"--out: got '{out}', which is there already and no page of this table, allowed: another file, or "
@@ -82,8 +80,3 @@ def is_of(file: Path, key: str) -> bool:
             return key.encode() in page.read(4096)
     except OSError:
         return False
-
-
-def table_key(experiment: batch.Experiment) -> str:
-    """Hash of the experiment a page is of."""
-    return hashlib.sha256(json.dumps(experiment.resolved, sort_keys=True).encode()).hexdigest()

@@ -1,6 +1,5 @@
 """`jaxbiped tune`: tune an arm's few numbers by gradients, or only say how far the gradients can be trusted."""
 
-import dataclasses
 import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,12 +10,13 @@ import jax
 import numpy as np
 from tyro.conf import arg
 
-from jaxbiped import adapt, batch, files, planner, sim, tune
+from jaxbiped import adapt, batch, files, sim, tune
 from jaxbiped.adapt import tunables
 from jaxbiped.batch import Choice, Uniform
 from jaxbiped.checked import nearest
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
+    GAITS,
     LANDINGS,
     MODIFIED,
     OFF,
@@ -24,10 +24,10 @@ from jaxbiped.commands.choices import (
     REPAIRED,
     arm_tables,
     clock_start,
+    gait_name,
     landing_of,
     load_arm,
     make_gait,
-    own_gait,
     reflex_of,
     simulation_options,
 )
@@ -57,8 +57,6 @@ STEPS = {"payload": 4, "landing": 6}
 HORIZON = 10.0
 """Of the walks whose gradient is taken [s]."""
 ARM_FILE = "tuned.toml"
-PARAMETERS = {"polynomial": planner.PolynomialParams, "cosine": planner.CosineParams}
-"""Records of a gait's parameters; all but the start and stop of the polynomial one can be tuned."""
 FILES = (ARM_FILE, "loss.png", "values.png")
 MAX_COUNT = 100_000
 HELD_OUT_SEED = 1000
@@ -124,7 +122,7 @@ def check(command: Tune) -> None:
     if command.duration is not None:
         batches.numbers("--duration", [command.duration], "s", 0.1, 3600.0)
     params = load_robot("--robot", command.robot)
-    require_names(command.what, own_gait(params) if command.gait is None else command.gait)
+    require_names(command.what, gait_name(command.gait, params))
     if command.arm is not None and not command.arm.endswith(".toml"):
         for stage in _stages(command):
             _require_base(command.arm, stage)
@@ -142,12 +140,8 @@ def require_names(names: tuple[str, ...], gait: str) -> None:
         InputError: with the nearest name.
     """
     known = [*BASES, *tunables.TUNABLES]
-    if gait in PARAMETERS:
-        known += [
-            f"gait.{field.name}"
-            for field in dataclasses.fields(PARAMETERS[gait])
-            if field.name != "start_stop"
-        ]
+    if gait in GAITS:
+        known += [f"gait.{name}" for name in GAITS[gait].quantities]
     if not names or len(set(names)) < len(names):
         raise InputError(f"--what: got {' '.join(names) or 'none'}, allowed: one or more names, each once")
     for name in names:
@@ -171,9 +165,7 @@ def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
     """The problem, the scenarios held out, and the tables of the arm it starts from."""
     params = load_robot("--robot", command.robot)
     stages = _stages(command)
-    gait = make_gait(
-        params, own_gait(params) if command.gait is None else command.gait, max(STEPS[s] for s in stages)
-    )
+    gait = make_gait(params, gait_name(command.gait, params), max(STEPS[s] for s in stages))
     start, arm = _start(command, params, gait, stages)
     made = [
         batches.experiment(

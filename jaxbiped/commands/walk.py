@@ -1,6 +1,5 @@
 """`jaxbiped walk`: one walk of one robot, told in a few lines and drawn as the two papers draw it."""
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -130,7 +129,7 @@ def key_of(setup: Setup) -> str:
     """Hash of all that decides a walk."""
     parts = (setup.robot, setup.controller, setup.scenario, setup.options)
     said = [*map(records.to_json, parts), setup.duration, store.code()]
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+    return records.digest(said)
 
 
 def _flat(argument: str, given: Words) -> list[str]:

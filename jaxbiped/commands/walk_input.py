@@ -18,9 +18,11 @@ from jaxbiped.commands.choices import (
     landing_of,
     load_arm,
     make_gait,
-    own_gait,
     reflex_of,
     simulation_options,
+)
+from jaxbiped.commands.choices import (
+    gait_name as name_of_gait,
 )
 from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears
@@ -93,7 +95,7 @@ def set_up(
         InputError: if one of them cannot be used.
     """
     params = load_robot("--robot", robot_name)
-    gait_name = own_gait(params) if gait_name is None else gait_name
+    gait_name = name_of_gait(gait_name, params)
     gait, words = make_gait(params, gait_name, steps), list(arms)
     of_file = _of_file(words, params, gait)
     gait = gait if of_file is None else of_file.gait

@@ -19,7 +19,7 @@ Scalar = Float[Array, "*batch"]
 PAD_BEHIND, PAD_AROUND = 0.115, 0.02
 """How far a pad under a foothold reaches behind the heel, and beyond the other edges of the sole [m]."""
 
-MOST_RECTANGLES = 1000
+MAX_RECTANGLES = 1000
 NEVER = 1e6
 """A time after every walk [s]."""
 _PLACE = Quantity("m", -1000.0, 1000.0, shapes=((2,),))
@@ -160,9 +160,9 @@ class Scenario(eqx.Module):
         """Level ground, nothing happens; with room for so many rectangles.
 
         Raises:
-            ValueError: if that is no whole number from 0 to MOST_RECTANGLES.
+            ValueError: if that is no whole number from 0 to MAX_RECTANGLES.
         """
-        n = checked.whole("rectangles", rectangles, 0, MOST_RECTANGLES)
+        n = checked.whole("rectangles", rectangles, 0, MAX_RECTANGLES)
         return cls(
             terrain=Terrain(jnp.zeros((n, 2)), jnp.zeros((n, 2)), jnp.zeros(n)),
             payload=Payload(mass=0.0, time=NEVER, place=(0.2, 0.0, 0.25), size=0.2),

@@ -5,7 +5,6 @@ scenarios of the experiment; at intervals a trust report says which gradient to 
 held-out scenarios say whether it was worth it. All that is known stands in one file after every step.
 """
 
-import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbiped import batch, files
-from jaxbiped.batch import store
+from jaxbiped.batch import records, store
 from jaxbiped.checked import Quantity, whole
 from jaxbiped.tune import gradient, trust
 from jaxbiped.tune.gradient import Problem
@@ -237,7 +236,7 @@ def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
         "settings": {**asdict(settings), "steps": 0},  # more steps go on with the same descent
         "code": store.code(),
     }
-    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+    return records.digest(what)
 
 
 def _name(loss: Any) -> str:
@@ -265,7 +264,7 @@ def _read(path: Path, problem: Problem, judge: Problem, settings: Settings) -> D
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         key, digest = kept.pop("key"), kept.pop("sha256")
-        same = key == _key(problem, judge, settings) and digest == _digest(kept)
+        same = key == _key(problem, judge, settings) and digest == records.digest(kept)
         return Descent(**kept) if same else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
@@ -287,10 +286,6 @@ def _load(out: Path, problem: Problem, judge: Problem, settings: Settings, overw
 def _save(out: Path, state: Descent, problem: Problem, judge: Problem, settings: Settings) -> None:
     out.mkdir(parents=True, exist_ok=True)
     kept = json.loads(json.dumps(asdict(state)))
-    said = {"key": _key(problem, judge, settings), "sha256": _digest(kept), **kept}
+    # The digest is of the state as it stands in the file, so that one that was changed is not gone on with.
+    said = {"key": _key(problem, judge, settings), "sha256": records.digest(kept), **kept}
     files.write(out / STATE, json.dumps(said, indent=1))
-
-
-def _digest(kept: dict[str, Any]) -> str:
-    """Of a state as it stands in its file, so that one that was changed is not gone on with."""
-    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()

@@ -14,7 +14,7 @@ from jaxbiped.batch import INPUTS
 from jaxbiped.sim import Scenario
 from jaxbiped.sim.ground import EDGE_WIDTH, height
 from jaxbiped.sim.scenario import (
-    MOST_RECTANGLES,
+    MAX_RECTANGLES,
     RANGES,
     Terrain,
     pad_under,
@@ -133,7 +133,7 @@ def test_units_and_shapes(call, words):
 
 
 def test_room_for_rectangles():
-    for value in (True, 1.0, -1, MOST_RECTANGLES + 1, "8", None, math.nan):
+    for value in (True, 1.0, -1, MAX_RECTANGLES + 1, "8", None, math.nan):
         assert "rectangles: got " in refusal(Scenario.flat, value)
     assert Scenario.flat(np.int64(3)).terrain.height.shape == (3,) and Scenario.flat(
         0
