@@ -16,10 +16,7 @@ from jaxbiped.kinematics import GRAVITY
 from jaxbiped.robot import RobotParams
 from jaxbiped.sim import mjx_adapter
 from jaxbiped.sim.mjx_adapter import BodyMotion, JointMatrix
-from jaxbiped.sim.scenario import Ground, Terrain
-
-EDGE_WIDTH = 0.004
-"""Width over which a rectangle's edge rises, so that forces are differentiable in its place [m]."""
+from jaxbiped.sim.scenario import EDGE_WIDTH, Ground, Terrain
 
 
 class Contact(eqx.Module):

@@ -19,6 +19,8 @@ Scalar = Float[Array, "*batch"]
 PAD_BEHIND, PAD_AROUND = 0.115, 0.02
 """How far a pad under a foothold reaches behind the heel, and beyond the other edges of the sole [m]."""
 
+EDGE_WIDTH = 0.004
+"""Width over which a rectangle's edge rises, so that forces are differentiable in its place [m]."""
 MAX_RECTANGLES = 1000
 NEVER = 1e6
 """A time after every walk [s]."""
@@ -323,10 +325,6 @@ def require_clear_start(robot: RobotParams, gait: Gait, terrain: Terrain) -> Non
     Raises:
         ValueError: naming the foot, the rectangle and what is allowed.
     """
-    from jaxbiped.sim.ground import (
-        EDGE_WIDTH,
-    )  # ground needs the terrain's record, so it is to the right of this
-
     if not is_concrete(robot, gait, terrain):
         return
     with jax.ensure_compile_time_eval():

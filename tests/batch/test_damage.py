@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from jaxbiped import adapt, batch, planner, robot
-from jaxbiped.batch import part, store, workers
+from jaxbiped.batch import store
 
 OLD = Path(__file__).with_name("folders_of_0_1")
 
@@ -28,22 +28,6 @@ def experiment(surena, rows=20, **changed):
     table = batch.grid(friction=np.linspace(0.4, 0.9, rows).tolist())
     given = {"robot": params, "arms": arms, "scenarios": table, "batch": 8, "duration": 0.02}
     return batch.Experiment(**{**given, **changed})
-
-
-@pytest.fixture
-def made(monkeypatch):
-    """Chunks made up instead of simulated; the numbers of those made."""
-    numbers = []
-
-    def walk(one, chunk):
-        numbers.append(chunk.number)
-        rows = np.arange(chunk.start, chunk.stop)
-        outcome = {"status": ["ok"] * len(rows), "success": rows % 3 != 0, "end_time_s": np.sin(rows)}
-        inputs = one.table[chunk.start : chunk.stop]
-        return pl.concat([part._identity(chunk), inputs, pl.DataFrame(outcome)], how="horizontal")
-
-    monkeypatch.setattr(workers, "walk_chunk", walk)
-    return numbers
 
 
 class Folder:
@@ -68,8 +52,8 @@ class Folder:
 
 
 @pytest.fixture
-def folder(surena, made, tmp_path) -> Folder:
-    return Folder(tmp_path / "run", experiment(surena), made)
+def folder(surena, made_up, tmp_path) -> Folder:
+    return Folder(tmp_path / "run", experiment(surena), made_up)
 
 
 def foreign(file: Path) -> None:
@@ -78,7 +62,7 @@ def foreign(file: Path) -> None:
 
 def same_rows_other_outcome(file: Path) -> None:
     """As an editor of tables saves it: the checksum is gone."""
-    pl.read_parquet(file).with_columns(success=pl.lit(True)).write_parquet(file)
+    pl.read_parquet(file).with_columns(success=pl.lit(False)).write_parquet(file)
 
 
 def cut(file: Path) -> None:
@@ -194,7 +178,7 @@ def test_broken_description_is_made_again_where_the_parts_say_whose_they_are(fol
 
 
 @pytest.mark.parametrize("name", [store.EXPERIMENT, store.TABLE, store.SCENARIOS, f"{store.PARTS}/x.parquet"])
-def test_folder_with_somebody_elses_files_is_refused_and_left_alone(surena, made, tmp_path, name):
+def test_folder_with_somebody_elses_files_is_refused_and_left_alone(surena, made_up, tmp_path, name):
     file = tmp_path / name
     file.parent.mkdir(exist_ok=True)
     file.write_text("mine")
@@ -276,7 +260,7 @@ def test_overwriting_deletes_what_a_batch_wrote_and_nothing_else(folder, surena)
 
 
 @pytest.mark.parametrize("umask", [0o022, 0o002, 0o077])
-def test_the_umask_decides_over_permissions(surena, made, tmp_path, umask):
+def test_the_umask_decides_over_permissions(surena, made_up, tmp_path, umask):
     import os
 
     before = os.umask(umask)
@@ -322,7 +306,7 @@ FORGERIES = {
     "unknown status": lambda rows: rows.with_columns(status=pl.lit("walked")),
     "no status": lambda rows: rows.drop("status"),
     "undeclared column": lambda rows: rows.with_columns(foot_temperature_K=pl.lit(300.0)),
-    "inputs in float32": lambda rows: rows.with_columns(pl.col("friction").cast(pl.Float32)),
+    "inputs of another type": lambda rows: rows.with_columns(pl.col("load_kg").cast(pl.Float32)),
     "rows in another order": lambda rows: rows.reverse(),
     "rows missing": lambda rows: rows.head(3),
     "no rows": lambda rows: rows.clear(),
@@ -367,12 +351,12 @@ def test_what_is_no_file_is_set_aside(folder, what, how):
     assert (aside / "mine").exists() if how == "folder" else aside.is_symlink()
 
 
-def test_parts_that_are_a_file_are_refused_by_plan_and_run(surena, made, tmp_path):
+def test_parts_that_are_a_file_are_refused_by_plan_and_run(surena, made_up, tmp_path):
     (tmp_path / store.PARTS).write_text("mine")
     for call in (batch.plan, batch.run):
         with pytest.raises(batch.StoreError, match="parts' is a file"):
             call(experiment(surena), tmp_path)
-    assert (tmp_path / store.PARTS).read_text() == "mine" and made == []
+    assert (tmp_path / store.PARTS).read_text() == "mine" and made_up == []
 
 
 def test_checksums_cannot_be_switched_off(folder):
@@ -387,7 +371,7 @@ def test_checksums_cannot_be_switched_off(folder):
 
 
 @pytest.mark.parametrize("name", ["", "a" * 300, "a\0b"])
-def test_names_that_no_folder_can_have(surena, made, name):
+def test_names_that_no_folder_can_have(surena, made_up, name):
     for call in (batch.plan, batch.run):
         with pytest.raises(batch.StoreError, match=r"out: got .* allowed: a folder"):
             call(experiment(surena), name)
