@@ -18,6 +18,7 @@ from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
 from jaxbiped.sim.rollout import DURATION
 from jaxbiped.sim.scenario import pad_under, require_clear_start, require_swing_clears
+from jaxbiped.sim.stability import require_stable_dt
 
 MAX_BATCH = 65536
 MAX_LANES = 128
@@ -82,6 +83,9 @@ class Experiment:
                 f"trace_every: got {self.options.trace_every}, allowed: 0; replay a row for its trace"
             )
         inputs.require_apart(self.table, self.pads)
+        if judge:
+            least, strongest = self.table["sinkage_m"].min(), self.table["gain_scale"].max()
+            require_stable_dt(self.robot, self.options.dt, float(least), float(strongest))  # type: ignore[arg-type]
         for name, arm in self.arms.items() if judge else ():
             self._require_walkable(name, arm)
 

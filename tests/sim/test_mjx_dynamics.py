@@ -163,17 +163,30 @@ def test_ground_force_in_joint_space(pressed):
         close(plant.contact_force(body, touch), wanted)
 
 
-def test_friction_damping_in_joint_space(pressed):
+def test_damping_of_the_ground_in_joint_space(pressed):
+    """By the Jacobian of every corner; over an edge too, where the normal is not upright."""
     model, found = pressed
+    rng = np.random.default_rng(5)
     for data, body, touch in found:
+        slope = rng.normal(loc=(0.0, 0.0, 2.0), size=(2, 4, 3))
+        touch = eqx.tree_at(
+            lambda t: (t.gradient, t.normal_damping),
+            touch,
+            as_arrays(slope, rng.uniform(0.0, 1e3, (2, 4))),
+        )
         wanted = np.zeros((NV, NV))
         for side, foot in enumerate(FEET.values()):
             for corner in range(4):
                 jacobian = np.zeros((3, NV))
                 point = np.asarray(touch.p_world_corner[side, corner], float)
                 mujoco.mj_jac(model, data, jacobian, None, point, foot)
-                wanted += float(touch.drag[side, corner]) * jacobian[:2].T @ jacobian[:2]
-        found, expected = ground.drag_matrix(body, touch), mjx_adapter.blocks(jnp.asarray(wanted))
+                normal = slope[side, corner] / np.linalg.norm(slope[side, corner])
+                across = float(touch.drag[side, corner]) * (np.eye(3) - np.outer(normal, normal))
+                along = float(touch.normal_damping[side, corner]) * np.outer(
+                    slope[side, corner], slope[side, corner]
+                )
+                wanted += jacobian.T @ (across + along) @ jacobian
+        found, expected = ground.damping_matrix(body, touch), mjx_adapter.blocks(jnp.asarray(wanted))
         for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
             close(ours, theirs)
 
