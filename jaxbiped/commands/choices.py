@@ -5,12 +5,17 @@ from typing import Any
 
 from jaxbiped import adapt, checked, planner, robot, sim
 from jaxbiped.adapt import landing, payload, tunables
+from jaxbiped.batch.inputs import INPUTS
 from jaxbiped.checked import Quantity, Refusal, Word
 from jaxbiped.commands.common import InputError
 
 GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
 OWN_GAIT = {"elkahlout": "cosine"}
 """The gait of each preset robot's own paper, where it is not the polynomial one."""
+THESIS_FRICTION = 0.09
+"""Of the floor in the thesis' experiments. The thesis does not state it: assumed, the one number chosen by its Tables
+4.2 and 4.3 (`sweeps/calibrate_elkahlout.py`). On a floor with more grip no robot of its measures can pull its feet
+under its body in 0.1 s."""
 MOST_STEPS = 200
 OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = "off", "paper", "original", "modified", "repaired"
 LANDINGS = (OFF, PAPER, REPAIRED)
@@ -44,14 +49,24 @@ def make_gait(params: robot.RobotParams, name: str, steps: int) -> Any:
         raise InputError(f"--robot, --gait: {error}") from None
 
 
+def is_thesis(params: robot.RobotParams, gait: Any) -> bool:
+    """Whether this is the thesis' own walk."""
+    return params.preset_name == "elkahlout" and isinstance(gait, planner.CosineGait)
+
+
 def simulation_options(params: robot.RobotParams, gait: Any) -> sim.Options:
     """The thesis' own walk by its own means: no feed-forward, control every tick, trunk with load by Eqs. 3.8-3.10."""
-    thesis = params.preset_name == "elkahlout" and isinstance(gait, planner.CosineGait)
+    thesis = is_thesis(params, gait)
     return sim.Options(
         control_every=1 if thesis else 4,
         feed_forward=not thesis,
         payload_model="thesis" if thesis else "exact",
     )
+
+
+def floor_friction(params: robot.RobotParams, gait: Any) -> float:
+    """Friction of the floor where nobody says otherwise: THESIS_FRICTION for the thesis' own walk."""
+    return THESIS_FRICTION if is_thesis(params, gait) else INPUTS["friction"].default
 
 
 def clock_start(gait: Any) -> float:

@@ -24,6 +24,7 @@ from jaxbiped.commands.choices import (
     REPAIRED,
     arm_tables,
     clock_start,
+    floor_friction,
     gait_name,
     landing_of,
     load_arm,
@@ -213,7 +214,8 @@ def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: in
         highest = min(HIGHEST, 0.8 * sim.swing_height(gait))
         heights = np.round(np.linspace(-highest, highest, 17), 4)
         ranges[batch.height_column(PAD_STEP)] = Choice(tuple(float(h) for h in heights if abs(h) > 1e-3))
-    return batch.draw(command.scenarios, seed, friction=Uniform(0.6, 1.0), **ranges)
+    floor = floor_friction(params, gait)
+    return batch.draw(command.scenarios, seed, friction=Uniform(0.75 * floor, 1.25 * floor), **ranges)
 
 
 def _trust(command: Tune, problem: tune.Problem) -> dict[str, Any]:

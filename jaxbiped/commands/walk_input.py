@@ -15,6 +15,7 @@ from jaxbiped.commands.choices import (
     ORIGINAL,
     PAPER,
     REPAIRED,
+    floor_friction,
     landing_of,
     load_arm,
     make_gait,
@@ -222,7 +223,7 @@ def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
 
 
 def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
-    scenario = sim.Scenario.flat(rectangles=max(8, len(pads)))
+    scenario = sim.Scenario.flat(rectangles=max(8, len(pads))).with_friction(floor_friction(params, gait))
     for pad in pads:
         scenario = scenario.with_rectangle(*pad_under(params, gait, pad.step), pad.height)
     _refuse_overlaps(pads, scenario.terrain)
