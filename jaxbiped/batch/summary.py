@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from jaxbiped.batch.inputs import INPUTS, NEVER, height_column, steps_of
+from jaxbiped.batch.inputs import NEVER, declared
 
 CONFIDENCE = 0.95
 """Of every interval here."""
@@ -95,8 +95,8 @@ def arms(table: pl.DataFrame) -> list[str]:
 
 def inputs(table: pl.DataFrame) -> list[str]:
     """Columns of the quantities a walk was given, in the table's order: declared inputs only."""
-    declared = {*INPUTS, *map(height_column, steps_of(table.columns))}
-    return [name for name in table.columns if name in declared]
+    known = declared(table.columns)
+    return [name for name in table.columns if name in known]
 
 
 def without_never(table: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:

@@ -436,8 +436,9 @@ class _ClosedLoop:
             self._switches(world, log, row)
         reading = self._reading(log, tick, (tick + 1) * world.options.control_dt)
         number = (tick + 1) * log.every
+        corner = log.site[number - 1, _CORNER_SITES].reshape(2, 4, 3)
         self.state, self.delay, reference = _control(
-            *self.known, self.state, self.delay, reading, np.int32(number)
+            *self.known, self.state, self.delay, reading, corner, np.int32(number)
         )
         self.history.append(reference)
 
@@ -503,12 +504,14 @@ def _control(
     state: Any,
     delay: Delay | None,
     reading: dict[str, Any],
+    p_world_corner: Any,
     tick: Any,
 ) -> tuple[Any, Delay | None, References]:
     """One control tick of `rollout` on a reading from elsewhere: noise, delay, controller, inverse kinematics."""
     sensed = Sensed(**reading)
     if options.noise:
-        sensed = sensors.add_noise(sensed, faults, tick)
+        every, dt = options.control_every, options.control_dt
+        sensed = sensors.add_noise(robot, sensed, p_world_corner, faults, tick, every, dt)
     if options.delay_room > 0:
         delay = Delay.filled(sensed, options.delay_room) if delay is None else delay
         delay, sensed = delay.push(sensed, faults.delay, options.control_dt)
