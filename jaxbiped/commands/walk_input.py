@@ -120,7 +120,7 @@ def set_up(
         controller=controller,
         scenario=_scenario(params, gait, pads, load),
         options=options,
-        duration=score.watch_time(controller, load is not None),
+        duration=score.watch_time(controller, int(load is not None and load.time > 0.0)),
     )
 
 
