@@ -52,6 +52,8 @@ class Load:
     """[kg]"""
     time: float
     """[s]"""
+    end: float | None = None
+    """When it is taken off [s]; None for one that stays."""
 
 
 @dataclass(frozen=True)
