@@ -222,6 +222,12 @@ REFLEX_TOLD = {
     "resumed_s": None,
     "x_shift_m": 0.0245,
 }
+
+
+def load_told(time, end=None):
+    return {"payload": {"mass_kg": 10.0, "time_s": time, "end_s": end, "thesis_time_s": time - 1.2}}
+
+
 TOLD = {
     "robot": "elkahlout",
     "gait": "cosine",
@@ -269,6 +275,16 @@ TOLD = {
         ),
         ({}, "x_ref moved by +24.5 mm"),
         ({}, "-2 cm under step 2; 10 kg at 2.400 s (thesis 1.200 s)"),
+        (load_told(2.4, 5.0), "10 kg at 2.400 s (thesis 1.200 s), taken off at 5.000 s (thesis 3.800 s)"),
+        (load_told(0.0), "10 kg carried from the start; landing"),
+        (load_told(0.0), "success: the walk is finished, at 15.10 s"),
+        (load_told(0.0, 5.0), "10 kg carried from the start, taken off at 5.000 s"),
+        ({**load_told(0.0, 5.0), "reflexes": []}, "no reflex: the load was not felt"),
+        (load_told(0.0, 5.0), "success: two whole steps after load and recovery"),
+        (
+            {**load_told(0.0), "success": False, "status": "unfinished", "reflexes": []},
+            "unfinished: the simulation ended before the walk",
+        ),
         (
             {"steps_without_touch": 2, "out_of_reach_s": 0.5},
             "2 steps without a touch, targets out of reach for 0.50 s",

@@ -132,11 +132,11 @@ class Experiment:
 
     @cached_property
     def durations(self) -> dict[str, float]:
-        """How long the walks of every arm are simulated [s]: the plan, and the longest recovery where loads come."""
+        """How long the walks of every arm are simulated [s]: the plan, and a recovery for every change of weight."""
         if self.duration is not None:
             return dict.fromkeys(self.arms, self.duration)
-        loaded = bool(((self.table["load_kg"] > 0.0) & (self.table["load_time_s"] < inputs.NEVER)).any())
-        needed = {name: watch_time(arm, loaded) for name, arm in self.arms.items()}
+        changes = inputs.changes_of_weight(self.table)
+        needed = {name: watch_time(arm, changes) for name, arm in self.arms.items()}
         # Arms with the same stages share what is compiled, if they are walked for the same time.
         alike = {name: (arm.payload is None, arm.landing is None) for name, arm in self.arms.items()}
         return {

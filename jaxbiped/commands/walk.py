@@ -178,6 +178,7 @@ def _result(told: Told) -> dict[str, Any]:
         load = {
             "mass_kg": setup.load.mass,
             "time_s": setup.load.time,
+            "end_s": setup.load.end,
             "thesis_time_s": _later(setup.load.time, start),
         }
     until = float(verdict.until)
@@ -251,8 +252,9 @@ def _draw(figures: ModuleType, told: Told) -> dict[str, Any]:
     trace, nominal = figures.thin(full, DRAWN_EVERY), _thin(told.nominal, len(full.time))
     what = walk_words.heading(setup.robot.name, setup.gait_name, setup.gait.timing.n_steps)
     time, phase, measured = trace.time, trace.targets.phase, figures.measured_task(trace)
-    load_time = None if setup.load is None else setup.load.time
-    events = figures.payload_events(load_time, told.recoveries)
+    load = setup.load
+    load_time, load_end = (None, None) if load is None else (load.time, load.end)
+    events = figures.payload_events(load_time, told.recoveries, load_end)
     touched = {"touch": [touch.time for touch in told.touches]} if setup.load is None else events
     commands = trace.targets.position
     drawn = {

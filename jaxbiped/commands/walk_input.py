@@ -53,6 +53,8 @@ class Load:
     """[kg]"""
     time: float
     """[s]"""
+    end: float | None = None
+    """When it is taken off [s]; None for one that stays."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def set_up(
         controller=controller,
         scenario=_scenario(params, gait, pads, load),
         options=options,
-        duration=score.watch_time(controller, load is not None),
+        duration=score.watch_time(controller, int(load is not None and load.time > 0.0)),
     )
 
 

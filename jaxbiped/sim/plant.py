@@ -96,10 +96,24 @@ def _attach_thesis(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
 def body_motion(
     plant: Plant, qpos: Float[Array, "19"], qvel: Float[Array, "18"], time: Float[Array, ""], dt: float
 ) -> BodyMotion:
-    """Kinematics and dynamics at the masses of this tick; a load attached inside it counts for the rest of it."""
-    loaded = jnp.clip((time + dt - plant.scenario.payload.time) / dt, 0.0, 1.0)
-    now = [b + loaded * (a - b) for b, a in zip(plant.before, plant.after, strict=True)]
-    return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *now), qpos, qvel)
+    """Kinematics and dynamics at the masses of this tick; a load counts for the part of it in which it is attached."""
+    return _motion(plant, qpos, qvel, plant.scenario.payload.share(time, dt))
+
+
+def motion_at_rest(plant: Plant, qpos: Float[Array, "19"]) -> BodyMotion:
+    """The same before the walk, standing still: with a load that is carried from the start, without any other."""
+    carried = plant.scenario.payload.is_carried.astype(qpos.dtype)
+    return _motion(plant, qpos, jnp.zeros(mjx_adapter.NV, qpos.dtype), carried)
+
+
+def _motion(plant: Plant, qpos: Float[Array, "19"], qvel: Float[Array, "18"], share: Any) -> BodyMotion:
+    return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *masses(plant, share)), qpos, qvel)
+
+
+def masses(plant: Plant, share: Float[Array, ""]) -> BodyMasses:
+    """Masses of the bodies with a share of the load, 0 to 1."""
+    mass, com, inertia = (b + share * (a - b) for b, a in zip(plant.before, plant.after, strict=True))
+    return mass, com, inertia
 
 
 def contact_force(body: BodyMotion, contact: ground.Contact) -> Float[Array, "18"]:

@@ -285,6 +285,28 @@ def attach(model: mujoco.MjModel, payload: Payload, payload_model: str) -> None:
     model.body_sameframe[TRUNK] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
 
+_WITH_THE_LOAD = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_subtreemass",
+    "body_sameframe",
+)
+"""What `attach` changes."""
+
+
+def without_load(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """What `detach` needs to take a load off again; to be asked before it is attached."""
+    return {name: getattr(model, name).copy() for name in _WITH_THE_LOAD}
+
+
+def detach(model: mujoco.MjModel, unloaded: dict[str, np.ndarray]) -> None:
+    """Take the load off the trunk."""
+    for name, value in unloaded.items():
+        getattr(model, name)[:] = value
+
+
 def _offset(arm: np.ndarray) -> np.ndarray:
     """Inertia of a unit of mass at `arm` [m2]."""
     return np.eye(3) * (arm @ arm) - np.outer(arm, arm)
@@ -304,7 +326,10 @@ class _World:
         self.model = build_world(robot, scenario, options.dt)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = qpos
-        self.attach_time = float(scenario.payload.time) if float(scenario.payload.mass) > 0.0 else np.inf
+        has_load = float(scenario.payload.mass) > 0.0
+        self.attach_time = float(scenario.payload.time) if has_load else np.inf
+        self.detach_time = float(scenario.payload.end) if has_load else np.inf
+        self.unloaded = without_load(self.model)
         self.trunk_com = self.model.body_ipos[TRUNK].copy()
         push = scenario.push
         self.push, self.push_start = np.asarray(push.force, float), float(push.start)
@@ -341,6 +366,9 @@ class _World:
         if time + 0.5 * dt >= self.attach_time:
             attach(self.model, self.scenario.payload, self.options.payload_model)
             self.attach_time = np.inf
+        if time + 0.5 * dt >= self.detach_time:
+            detach(self.model, self.unloaded)
+            self.detach_time = np.inf
         if not self.push_start - dt < time < self.push_end + dt:
             return
         overlap = min(time + dt, self.push_end) - max(time, self.push_start)
@@ -436,8 +464,9 @@ class _ClosedLoop:
             self._switches(world, log, row)
         reading = self._reading(log, tick, (tick + 1) * world.options.control_dt)
         number = (tick + 1) * log.every
+        corner = log.site[number - 1, _CORNER_SITES].reshape(2, 4, 3)
         self.state, self.delay, reference = _control(
-            *self.known, self.state, self.delay, reading, np.int32(number)
+            *self.known, self.state, self.delay, reading, corner, np.int32(number)
         )
         self.history.append(reference)
 
@@ -503,12 +532,14 @@ def _control(
     state: Any,
     delay: Delay | None,
     reading: dict[str, Any],
+    p_world_corner: Any,
     tick: Any,
 ) -> tuple[Any, Delay | None, References]:
     """One control tick of `rollout` on a reading from elsewhere: noise, delay, controller, inverse kinematics."""
     sensed = Sensed(**reading)
     if options.noise:
-        sensed = sensors.add_noise(sensed, faults, tick)
+        every, dt = options.control_every, options.control_dt
+        sensed = sensors.add_noise(robot, sensed, p_world_corner, faults, tick, every, dt)
     if options.delay_room > 0:
         delay = Delay.filled(sensed, options.delay_room) if delay is None else delay
         delay, sensed = delay.push(sensed, faults.delay, options.control_dt)

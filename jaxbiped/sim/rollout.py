@@ -261,7 +261,7 @@ def _start(world: Plant, controller: Controller, torque: FeedForward, options: O
     reference = servo_reference(world.robot, targets, torque)[0]
     qpos = equilibrium.standing(world, targets.position, reference)
     qvel = jnp.zeros(mjx_adapter.NV, qpos.dtype)
-    body = plant.body_motion(world, qpos, qvel, jnp.zeros((), qpos.dtype), 1e-3)
+    body = plant.motion_at_rest(world, qpos)
     touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, body)
     physics = Physics(
         tick=jnp.zeros((), jnp.int32),
@@ -321,7 +321,8 @@ def _sense(
     faults = world.scenario.sensors
     sensed = sensors.sense(body, touch, physics.qpos, physics.qvel, physics.switches, zmp, time, faults)
     if options.noise:
-        sensed = sensors.add_noise(sensed, faults, physics.tick)
+        every, dt = options.control_every, options.control_dt
+        sensed = sensors.add_noise(world.robot, sensed, touch.p_world_corner, faults, physics.tick, every, dt)
     if options.delay_room == 0:
         return sensed, None
     delay = Delay.filled(sensed, options.delay_room) if delay is None else delay

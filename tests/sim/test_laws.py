@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from c_mujoco import as_arrays, flat, load64, motions, oracle, random_states
 from closed_loop import lane, run, setup, stack
-from conftest import LEAN
+from conftest import CARRIED, LEAN
 
 from jaxbiped import robot
 from jaxbiped.adapt import Controller
@@ -39,6 +39,21 @@ def test_standing_forces_add_up_to_the_weight(walks):
     force = walks.trace("stand").foot_force.sum(axis=1)
     np.testing.assert_allclose(force[:, 2], walks.one.weight, rtol=1e-3)
     assert np.abs(force[:, :2]).max() < 1e-3 * walks.one.weight
+
+
+def test_a_load_at_0_is_own_weight_until_it_is_taken_off(walks):
+    """The robot stands at rest with it from the very start; without it, it settles to its own weight again."""
+    mass, _, end = CARRIED
+    trace, still = walks.trace("carry"), walks.trace("stand")
+    force = trace.foot_force[..., 2].sum(axis=1)
+    before = trace.time < end - 1e-6
+    np.testing.assert_allclose(force[before], walks.one.weight + mass * 9.81, rtol=1e-3)
+    np.testing.assert_allclose(
+        trace.qpos[before], np.broadcast_to(trace.qpos[0], trace.qpos[before].shape), atol=1e-4
+    )
+    assert trace.qpos[0, 5] > still.qpos[0, 5] + 2e-5  # it leans forward under the load
+    np.testing.assert_allclose(force[trace.time > end + 2.0], walks.one.weight, rtol=2e-3)
+    assert walks.statistics("carry").status == statistics.OK
 
 
 def test_standing_zmp_is_under_the_centre_of_mass(walks):

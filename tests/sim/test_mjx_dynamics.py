@@ -26,6 +26,7 @@ from c_mujoco import (
 from jaxbiped import robot
 from jaxbiped.sim import ground, mjx_adapter, plant
 from jaxbiped.sim.model import CORNER_NAMES
+from jaxbiped.sim.scenario import NEVER
 
 STATES = 1000
 FEET = {"left": mjx_adapter.LEFT_FOOT, "right": mjx_adapter.RIGHT_FOOT}
@@ -201,6 +202,9 @@ def test_push_acts_on_the_centre_of_mass_of_the_trunk_for_its_share_of_the_tick(
         close(plant.push_force(world, body, jnp.asarray(time), dt), share * wanted, 1e-9)
 
 
+at_rest = eqx.filter_jit(plant.motion_at_rest)
+
+
 @eqx.filter_jit
 def integrate_all(model, qpos, qvel, dt):
     return jax.vmap(lambda q, v: mjx_adapter.integrate(model, q, v, dt))(qpos, qvel)
@@ -220,9 +224,9 @@ def test_integration_of_positions(moving):
 LOAD = {"mass": 12.0, "place": (0.21, 0.03, 0.25), "size": 0.3}
 
 
-def loaded_plant(params, ours, payload_model, time=1.0):
+def loaded_plant(params, ours, payload_model, time=1.0, end=NEVER):
     scene = eqx.tree_at(
-        lambda s: s.payload.place, flat().with_payload(LOAD["mass"], time), as_arrays(LOAD["place"])[0]
+        lambda s: s.payload.place, flat().with_payload(LOAD["mass"], time, end), as_arrays(LOAD["place"])[0]
     )
     scene = eqx.tree_at(lambda s: s.payload.size, scene, as_arrays(LOAD["size"])[0])
     return plant.make_plant(params, ours, scene, payload_model)
@@ -253,6 +257,48 @@ def test_payload_attached_inside_a_tick_counts_for_the_rest_of_it(moving):
     wanted = forward(quarter, data.qpos, data.qvel)
     close(body.mass_matrix, mass_matrix(quarter, wanted), 1e-9)
     close(body.bias, wanted.qfrc_bias, 1e-9)
+
+
+@pytest.mark.parametrize("model", plant.PAYLOAD_MODELS)
+def test_load_counts_for_its_share_of_every_tick(moving, model):
+    """Put on at 1.00075 s and taken off at 1.01025 s, in ticks of 1 ms; the other one within one tick."""
+    params, _, ours, cases = moving
+    data, _ = cases[0]
+    state = as_arrays(data.qpos, data.qvel)
+    world = loaded_plant(params, ours, model, 1.00075, 1.01025)
+    always, never = loaded_plant(params, ours, model, 0.0), loaded_plant(params, ours, model, 5.0)
+    brief = loaded_plant(params, ours, model, 1.0002, 1.0007)
+    late = {"time": jnp.asarray(2.0), "dt": 1e-3}
+    trunk = [float(motion_at(one, *state, **late).link_inertia[0, -1]) for one in (never, always)]
+    for one, time, share in (
+        (world, 0.9, 0.0),
+        (world, 1.0, 0.25),
+        (world, 1.001, 1.0),
+        (world, 1.009, 1.0),
+        (world, 1.01, 0.25),
+        (world, 1.011, 0.0),
+        (world, 30.0, 0.0),
+        (brief, 1.0, 0.5),
+        (brief, 1.001, 0.0),
+    ):
+        body = motion_at(one, *state, time=jnp.asarray(time), dt=1e-3)
+        got = float(body.link_inertia[0, -1])
+        assert got == pytest.approx(trunk[0] + share * (trunk[1] - trunk[0]), abs=1e-9), time
+    assert trunk[1] - trunk[0] == pytest.approx(LOAD["mass"])
+
+
+def test_the_robot_settles_with_a_load_at_0_and_without_one_that_comes_later(moving):
+    params, _, ours, cases = moving
+    qpos = as_arrays(cases[0][0].qpos)[0]
+    model = with_cube(params, **LOAD)
+    wanted = forward(model, cases[0][0].qpos, np.zeros(18))
+    body = at_rest(loaded_plant(params, ours, plant.EXACT, 0.0, 1.0), qpos)
+    close(body.mass_matrix, mass_matrix(model, wanted))
+    close(body.bias, wanted.qfrc_bias)
+    bare = at_rest(loaded_plant(params, ours, plant.EXACT, 5.0), qpos)
+    for time in (1e-6, 1e-4):  # within the first tick of any kind
+        soon = at_rest(loaded_plant(params, ours, plant.EXACT, time), qpos)
+        np.testing.assert_array_equal(soon.mass_matrix, bare.mass_matrix)
 
 
 def test_thesis_payload_is_equations_3_8_to_3_10(moving):

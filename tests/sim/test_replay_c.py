@@ -142,6 +142,29 @@ def test_load_weighs_from_its_time_on(case, model):
     assert force[time > 0.3].mean() == pytest.approx(case.weight + 2.0 * 9.81, abs=0.01 * case.weight)
 
 
+@pytest.mark.parametrize("model", ["exact", "thesis"])
+def test_load_that_is_carried_from_the_start_weighs_until_it_is_taken_off(case, model):
+    walk = case.walk(FLAT.with_payload(2.0, 0.0, 0.1), duration=0.4, payload_model=model)
+    time = np.asarray(walk.trace.time)
+    force = np.asarray(walk.trace.foot_force)[..., 2].sum(axis=1)
+    loaded = case.weight + 2.0 * 9.81
+    np.testing.assert_allclose(force[time < 0.1], loaded, rtol=0.01)  # settled with it: nothing drops
+    assert force[time > 0.3].mean() == pytest.approx(case.weight, abs=0.01 * case.weight)
+
+
+def test_a_load_that_is_taken_off_leaves_the_model_as_it_was():
+    model = build_world(Case("elkahlout").params, FLAT, 5e-4)
+    before, data = host.without_load(model), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    bare = data.qfrc_bias.copy()
+    host.attach(model, FLAT.with_payload(7.0, 0.0).payload, "exact")
+    mujoco.mj_forward(model, data)
+    assert not np.allclose(data.qfrc_bias, bare)
+    host.detach(model, before)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_array_equal(data.qfrc_bias, bare)
+
+
 def test_attached_cube_is_a_welded_cube():
     """Against a model compiled with the cube in it."""
     case = Case("elkahlout")
