@@ -20,7 +20,7 @@ def heading(robot: str, gait: str, steps: int) -> str:
 
 def lines(result: dict[str, Any]) -> list[str]:
     """What happened, for a person."""
-    return [_what(result), *_touches(result), *_reflexes(result), *_verdict(result)]
+    return [_what(result), *_plan(result), *_touches(result), *_reflexes(result), *_verdict(result)]
 
 
 def _what(r: dict[str, Any]) -> str:
@@ -32,6 +32,10 @@ def _what(r: dict[str, Any]) -> str:
         parts.append(f"{r['payload']['mass_kg']:g} kg at {_time(r, r['payload']['time_s'])}")
     parts.append(f"landing adaptation {r['arm']['landing']}, payload reflex {r['arm']['reflex']}")
     return "; ".join(parts)
+
+
+def _plan(r: dict[str, Any]) -> list[str]:
+    return [f"the plan breaks a constraint: {words}" for words in r["constraints_broken"]]
 
 
 def _time(r: dict[str, Any], time: float) -> str:

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -24,8 +23,7 @@ from jaxbiped.planner import (
     feasibility,
     sample_times,
 )
-from jaxbiped.planner.feasibility import instant, motion_of, share_between_feet, zmp_of
-from jaxbiped.planner.targets import Timing
+from jaxbiped.planner.feasibility import Frozen, instant, motion_of, share_between_feet, zmp_of
 from jaxbiped.robot import LEFT, RIGHT
 from jaxbiped.sim.model import build_model
 
@@ -35,29 +33,6 @@ MARGIN = 0.07
 """Least ZMP margin of the surena3 walks [m]; the middle of a foot has 0.08."""
 TABLE = {"A": (123, 75), "B": (119, 70), "C": (120, 76), "D": (115, 72), "E": (116, 75)}
 """Single-support ZMP margins of gaits A to E in x and y, as a prototype with a model of its own had them [mm]."""
-
-
-class Frozen(eqx.Module):
-    """A gait cut out of another one at an instant: the same position, velocity and acceleration at time 0."""
-
-    targets: Targets
-
-    @property
-    def duration(self):
-        return jnp.zeros(())
-
-    @property
-    def timing(self):
-        return Timing(self.duration, self.targets.phase.T_s, self.targets.phase.T_c, 1, LEFT)
-
-    def task(self, t):
-        position, velocity, acceleration = (
-            getattr(self.targets, name) for name in ("position", "velocity", "acceleration")
-        )
-        return jax.tree.map(lambda p, v, a: p + v * t + 0.5 * a * t * t, position, velocity, acceleration)
-
-    def phase(self, t):
-        return self.targets.phase
 
 
 @functools.partial(jax.jit, compiler_options=NOT_OPTIMISED)
