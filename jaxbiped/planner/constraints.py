@@ -28,7 +28,7 @@ CHECKED_STEPS = 8
 OR_ALLOW = "; or say allow_infeasible=True"
 """How a refusal ends: what lets the plan through all the same."""
 
-_SINGLE, _DOUBLE, _REST = 32, 16, 50
+_SINGLE, _DOUBLE, _REST = 64, 32, 100
 """Samples of a single and a double support, and of start and stop."""
 _EDGE = 1e-3
 """How far the first and the last sample of a support phase are from its ends, as a fraction of it."""
