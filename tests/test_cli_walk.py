@@ -233,6 +233,7 @@ TOLD = {
     "gait": "cosine",
     "steps": 6,
     "planned_s": 16.8,
+    "constraints_broken": [],
     "arm": {"landing": "off", "reflex": "modified"},
     "obstacles": [{"step": 2, "height_m": -0.02}],
     "payload": {"mass_kg": 10.0, "time_s": 2.4, "thesis_time_s": 1.2},

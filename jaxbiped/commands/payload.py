@@ -11,6 +11,7 @@ from tyro.conf import arg
 from jaxbiped import batch, sim
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
+    ALLOW_HELP,
     REFLEXES,
     clock_start,
     floor_friction,
@@ -49,6 +50,7 @@ class Payload:
     """Of the floor. Default: 0.8; for elkahlout's cosine walk that of the thesis' experiments, which is slippery."""
     steps: int | None = None
     """Steps of the walk. Default: enough to complete two after the last recovery."""
+    allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     workers: Annotated[int | None, arg(help=batches.WORKERS_HELP)] = None
     scheduler: Annotated[str | None, arg(help=batches.SCHEDULER_HELP)] = None
     batch: Annotated[int | None, arg(help=batches.BATCH_HELP)] = None
@@ -84,17 +86,17 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
     loads = batches.numbers("--loads", command.loads, "kg", 0.0, float(params.total_mass))
     times = batches.numbers("--times", command.times, "s", 0.0, LATEST)
     name = gait_name(command.gait, params)
-    gait = make_gait(params, name, 1)
+    gait = make_gait(params, name, 1, allow_infeasible=True)  # only its clock is read
     since_liftoff = max(times) + clock_start(gait) - float(gait.timing.first_liftoff)
     last = max(0, math.floor(since_liftoff / float(gait.timing.T_c)))
     steps = last + 1 + STEPS_AFTER if command.steps is None else command.steps
-    gait = make_gait(params, name, steps)
+    gait = make_gait(params, name, steps, command.allow_infeasible)
     start = clock_start(gait)
     if max(times) + start > float(gait.duration):
         raise InputError(
             f"--times: got {max(times):g} s, allowed: up to {float(gait.duration) - start:.4g} s with {steps} steps"
         )
-    arms = batches.reflex_arms(command.arm, REFLEXES, params, gait)
+    arms = batches.reflex_arms(command.arm, REFLEXES, params, gait, command.allow_infeasible)
     options: sim.Options = simulation_options(params, gait)
     friction = floor_friction(params, gait) if command.friction is None else command.friction
     (friction,) = batches.numbers(

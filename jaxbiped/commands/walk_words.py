@@ -20,7 +20,7 @@ def heading(robot: str, gait: str, steps: int) -> str:
 
 def lines(result: dict[str, Any]) -> list[str]:
     """What happened, for a person."""
-    return [_what(result), *_touches(result), *_reflexes(result), *_verdict(result)]
+    return [_what(result), *_plan(result), *_touches(result), *_reflexes(result), *_verdict(result)]
 
 
 def _what(r: dict[str, Any]) -> str:
@@ -44,6 +44,10 @@ def _weight_changes(r: dict[str, Any]) -> bool:
     """Whether a load is put on, or taken off: not one that is carried all the time."""
     load = r["payload"]
     return bool(load) and (load["time_s"] > 0.0 or load.get("end_s") is not None)
+
+
+def _plan(r: dict[str, Any]) -> list[str]:
+    return [f"the plan breaks a constraint: {words}" for words in r["constraints_broken"]]
 
 
 def _time(r: dict[str, Any], time: float) -> str:

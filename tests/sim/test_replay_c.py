@@ -184,13 +184,13 @@ def test_load_that_is_carried_from_the_start_weighs_until_it_is_taken_off(case, 
 
 def test_a_load_that_is_taken_off_leaves_the_model_as_it_was():
     model = build_world(Case("elkahlout").params, FLAT, 5e-4)
-    before, data = host.without_load(model), mujoco.MjData(model)
+    before, data = c_world.without_load(model), mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     bare = data.qfrc_bias.copy()
-    host.attach(model, FLAT.with_payload(7.0, 0.0).payload, "exact")
+    c_world.attach(model, FLAT.with_payload(7.0, 0.0).payload, "exact")
     mujoco.mj_forward(model, data)
     assert not np.allclose(data.qfrc_bias, bare)
-    host.detach(model, before)
+    c_world.detach(model, before)
     mujoco.mj_forward(model, data)
     np.testing.assert_array_equal(data.qfrc_bias, bare)
 
