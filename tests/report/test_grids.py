@@ -4,6 +4,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -387,7 +388,8 @@ def test_bars_of_limits_are_their_intervals():
     ]
     limits = summary.frontier(pl.DataFrame(rows), levels=(0.5,))
     (axes,) = grids.frontier_figure(limits, "Loads").axes
-    (bars,) = axes.collections
+    (found,) = axes.collections
+    bars: Any = found
     top = axes.get_ylim()[1]
     ends = [np.asarray(line)[:, 1].tolist() for line in bars.get_segments()]
     assert ends == [[4.0, 8.0], [2.0, pytest.approx(top)]]

@@ -12,6 +12,7 @@ from jaxbiped import robot, score, sim
 from jaxbiped.adapt import Controller, ControllerState, Landing, PayloadReflex
 from jaxbiped.adapt.payload import REFLEX, SETTLE, WALK
 from jaxbiped.planner import CosineGait
+from jaxbiped.score.verdict import STANDS_FOR
 from jaxbiped.sim.statistics import AIRBORNE, FELL, NONFINITE, OK
 
 END = 16.8
@@ -163,7 +164,7 @@ def test_a_load_taken_off_after_a_reflex_is_judged_by_the_step_it_is_taken_off_i
 
 
 def test_watched_for_a_recovery_from_every_change_the_reflex_reacts_to(gait, controller):
-    robot_, plan = robot.load("elkahlout"), END + score.verdict.STANDS_FOR
+    robot_, plan = robot.load("elkahlout"), END + STANDS_FOR
     again = Controller(gait, payload=PayloadReflex.repaired(robot_, gait))
     for one, most in ((Controller(gait), 0), (controller, 1), (again, 2)):
         delay = one.longest_delay()
