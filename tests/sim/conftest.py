@@ -13,7 +13,7 @@ from jaxbiped.sim.statistics import Statistics
 
 LIFT = (0.0, 0.0, 5000.0)
 """Six times the robot's weight, upward [N]."""
-SHOVE, LEAN = (0.0, 300.0, 0.0), (20.0, 10.0, 0.0)
+SHOVE, LEAN = (0.0, 300.0, 0.0), (36.0, 18.0, 0.0)
 """Forces [N] that topple a walking robot, and that a standing one must bear."""
 
 CARRIED = (1.0, 0.0, 3.0)
