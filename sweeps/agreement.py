@@ -287,8 +287,8 @@ def walk(job: Job, told: Told) -> dict[str, Columns]:
     return found
 
 
-def stacked(each: Sequence[Scenario]) -> Scenario:
-    """Scenarios into one with a leading axis."""
+def stacked(each: Sequence[Any]) -> Any:
+    """Records into one with a leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
@@ -352,8 +352,8 @@ def natives(
         left = stacked([each[i] for i in missing])
         done = replay_many(params, controller, left, DURATION, options, contact=contact, told=shown)
         for i, one in zip(missing, done, strict=True):
-            rows[i] = {name: value[0] for name, value in columns(stacked([one])).items()}
-            keep(job.cache, keys[i], rows[i])
+            rows[i] = row = {name: value[0] for name, value in columns(stacked([one])).items()}
+            keep(job.cache, keys[i], row)
     known = [row for row in rows if row is not None]
     return {name: np.stack([row[name] for row in known]) for name in COLUMNS}
 

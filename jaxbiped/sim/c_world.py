@@ -9,6 +9,7 @@ critically damped by itself:
 """
 
 import equinox as eqx
+import jax
 import mujoco
 import numpy as np
 
@@ -111,6 +112,7 @@ def contact_time_constant(
     At constant impedance d a contact at rest has force / depth = 1 / ((1 - d) timeconst^2 invweight), `invweight`
     [1/kg] being that of the foot; and that is to be the weight on each of eight corners over the sinkage.
     """
+    robot = jax.tree.map(np.asarray, robot)
     invweight = float(build_spec(robot).compile().body_invweight0[LEFT_FOOT, 0])
     wanted = float(robot.total_mass) * GRAVITY / (8.0 * sinkage)
     constant = float(np.sqrt(1.0 / ((1.0 - IMPEDANCE) * wanted * invweight)))
@@ -132,6 +134,7 @@ def build_world(
         ValueError: for a model of the contact that there is not.
     """
     contact = CONTACT.check("contact", contact)
+    robot = jax.tree.map(np.asarray, robot)  # of which MuJoCo asks every number, one by one
     base, boxes = level_boxes(scenario.terrain)
     spec = build_spec(_with_errors(robot, scenario), timestep)
     floor = spec.geom("floor")
@@ -229,16 +232,19 @@ def corner_forces(
 
 def _with_errors(robot: RobotParams, scenario: Scenario) -> RobotParams:
     errors, links, servo = scenario.errors, robot.links, robot.servo
+    scale, gain = np.asarray(errors.mass_scale), np.asarray(errors.gain_scale)
+    centre = np.array(links.com)
+    centre[0] += errors.trunk_com_offset
     return eqx.tree_at(
         lambda r: (r.links.mass, r.links.inertia, r.links.com, r.servo.kp, r.servo.kv, r.servo.ki),
         robot,
         (
-            links.mass * errors.mass_scale,
-            links.inertia * errors.mass_scale[:, None, None],
-            links.com.at[0].add(errors.trunk_com_offset),
-            servo.kp * errors.gain_scale,
-            servo.kv * errors.gain_scale,
-            servo.ki * errors.gain_scale,
+            np.asarray(links.mass) * scale,
+            np.asarray(links.inertia) * scale[:, None, None],
+            centre,
+            np.asarray(servo.kp) * gain,
+            np.asarray(servo.kv) * gain,
+            np.asarray(servo.ki) * gain,
         ),
     )
 

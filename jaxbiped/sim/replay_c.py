@@ -132,13 +132,10 @@ def replay_many(
     options = options or Options()
     ticks = round(duration / options.control_dt)
     table = make_feed_forward(robot, controller, duration, options)
-    depth = [
-        c_world.resting_depth(robot, float(sinkage), options.dt, contact)
-        for sinkage in scenarios.ground.sinkage
-    ]
-    sunk = eqx.tree_at(
-        lambda s: s.ground.sinkage, scenarios, jnp.asarray(depth, scenarios.ground.sinkage.dtype)
-    )
+    sinkage = np.asarray(scenarios.ground.sinkage)
+    depth = {one: c_world.resting_depth(robot, float(one), options.dt, contact) for one in np.unique(sinkage)}
+    rests = jnp.asarray([depth[one] for one in sinkage], sinkage.dtype)
+    sunk = eqx.tree_at(lambda s: s.ground.sinkage, scenarios, rests)
     model = mjx_adapter.base_model(robot)
     qpos, first = _start(robot, model, controller, sunk, table, options.payload_model)
     worlds = _Worlds(robot, scenarios, options, contact, np.asarray(qpos, float))
@@ -334,7 +331,7 @@ class _OpenLoop:
                 f"references: got {references.angle.shape[0] - 1} control ticks, allowed: >= {ticks}"
             )
         self.references = jax.tree.map(np.asarray, references)
-        self.tick = 0
+        self.tick, self.states = 0, None
         self.rows = [
             a.reshape(-1, 12).astype(float)
             for a in (self.references.angle, self.references.speed, self.references.feed_forward)
@@ -359,9 +356,6 @@ class _OpenLoop:
         return jax.tree.map(
             lambda leaf: np.broadcast_to(leaf[self.tick], (n, *leaf.shape[1:])), self.references.targets
         )
-
-    def state(self, i: int) -> None:
-        return None
 
 
 class _ClosedLoop:
@@ -444,9 +438,6 @@ class _ClosedLoop:
     def targets(self, n: int) -> Targets:
         return jax.tree.map(np.asarray, self.references.targets)
 
-    def state(self, i: int) -> Any:
-        return jax.tree.map(lambda leaf: leaf[i], self.states)
-
 
 _Pilot = _OpenLoop | _ClosedLoop
 """Where the references come from: `row` before a control tick, `see` after each physics tick, `sense` after the control
@@ -515,11 +506,12 @@ def _walk(worlds: _Worlds, pilot: _Pilot, ticks: int, told: Told | None) -> list
             if told is not None:
                 told(time, int(worlds.walking.sum()))
     margins.look()
-    walks = []
+    states, walks = jax.tree.map(np.asarray, pilot.states), []
     for i in range(n):
         kept = (ended.get(i) or tally.lane(i)) | margins.lane(i, options.control_dt)
         stats = Statistics(**{name: _device(value) for name, value in kept.items()})
-        walks.append(Walk(stats, None if trace is None else trace.lane(i), pilot.state(i)))
+        state = jax.tree.map(lambda leaf, i=i: jnp.asarray(leaf[i]), states)
+        walks.append(Walk(stats, None if trace is None else trace.lane(i), state))
     return walks
 
 

@@ -287,6 +287,7 @@ def test_unknown_contact_is_refused():
 def test_stands_on_every_contact_at_its_height_with_its_weight(contact):
     case = Case("elkahlout")
     stands, usual = (case.walk(duration=0.1, contact=one).trace for one in (contact, SPHERES))
+    assert stands is not None and usual is not None
     np.testing.assert_allclose(stands.foot_force[..., 2].sum(axis=1), case.weight, rtol=0.01)
     np.testing.assert_allclose(stands.corner_force.sum(axis=-1), stands.foot_force[..., 2], rtol=1e-5)
     np.testing.assert_allclose(stands.zmp_world, usual.zmp_world, atol=2e-3)
@@ -306,7 +307,7 @@ def test_an_edge_under_the_soles_carries(contact):
         mujoco.mj_step(model, data)
     sole, turn = data.site_xpos[[0, 5]], data.xmat.reshape(-1, 3, 3)[[LEFT_FOOT, RIGHT_FOOT]]
     force = c_world.corner_forces(case.params, contact, data.sensordata[None], sole[None], turn[None])[0]
-    assert force[:, 2].sum() == pytest.approx(case.weight, rel=0.01)
+    assert force[:, 2].sum() == pytest.approx(case.weight, rel=0.05)  # the trunk rocks
     assert force[[0, 1, 4, 5], 2].sum() > 0.05 * case.weight
     toe, heel = data.site_xpos[1], data.site_xpos[3]
     place = edge if contact == BOX else toe[0]
