@@ -538,8 +538,8 @@ class _Tally:
         self.anchor, self.loaded = worlds.xpos[:, _FEET, :2], np.ones((n, 2), bool)
         self.p_world_trunk = worlds.xpos[:, TRUNK].copy()
         self.pelvis_height = _pelvis_height(worlds.xpos)
+        self.foot_force, self.p_world_foot = np.zeros((n, 2)), self.anchor
         self.names = list(vars(self))
-        self.vertical, self.place = np.zeros((n, 2)), self.anchor
         self.zmp = self.p_world_trunk[:, :2]
 
     def update(self, worlds: _Worlds, time: float) -> None:
@@ -550,15 +550,16 @@ class _Tally:
         loaded = vertical > LOADED
         landed = loaded & ~self.loaded
         if landed.any():
-            rise = np.where(landed, vertical - self.vertical, 1.0)
-            share = np.where(landed, (LOADED - self.vertical) / rise, 0.0)
-            touched = self.place + share[..., None] * (place - self.place)
+            rise = np.where(landed, vertical - self.foot_force, 1.0)
+            share = np.where(landed, (LOADED - self.foot_force) / rise, 0.0)
+            touched = self.p_world_foot + share[..., None] * (place - self.p_world_foot)
             self.touch_time = np.where(landed, time - dt * (1.0 - share), self.touch_time)
             self.anchor = np.where(landed[..., None], touched, self.anchor)
             self.touch_impulse = np.where(landed, 0.0, self.touch_impulse)
-        touching = (self.touch_time >= 0.0) & (time - self.touch_time < TOUCHDOWN)
-        force = np.where(touching, vertical, 0.0)
-        self.touch_impulse = self.touch_impulse + dt * force
+        begin = np.maximum(time - dt, self.touch_time)
+        within = np.where(self.touch_time >= 0.0, np.minimum(time, self.touch_time + TOUCHDOWN) - begin, 0.0)
+        force = np.where(within > 0.0, vertical, 0.0)
+        self.touch_impulse = self.touch_impulse + np.maximum(within, 0.0) * vertical
         slip = np.where(loaded, np.sqrt(((place - self.anchor) ** 2).sum(axis=-1)), 0.0)
         tilt = np.abs(_roll_pitch_yaw(worlds.xmat[:, TRUNK])[:, :2])
         for peak, value in (
@@ -577,7 +578,7 @@ class _Tally:
         fine = np.where(fell, FELL, np.where(airborne, AIRBORNE, OK))
         self.status = np.where(finite, fine, NONFINITE).astype(np.int32)
         self.end_time[:], self.p_world_trunk = time, trunk.copy()
-        self.loaded, self.vertical, self.place = loaded, vertical, place
+        self.loaded, self.foot_force, self.p_world_foot = loaded, vertical, place
 
     def press(self, worlds: _Worlds) -> None:
         """Centre of the vertical forces at the corners, at a control tick; the last one while nothing is loaded."""

@@ -27,7 +27,7 @@ def loads(surena) -> pl.DataFrame:
     params, gait = surena
     reflex = adapt.PayloadReflex.repaired(params, gait)
     table = pl.DataFrame(
-        {"load_kg": [8.0] * 3, "load_time_s": [0.0, 0.0, 2.5], "load_end_s": [1e6, 2.5, 2.9]}
+        {"load_kg": [8.0] * 3, "load_time_s": [0.0, 0.0, 2.5], "load_end_s": [1e6, 2.5, 4.5]}
     )
     return walked(params, {"repaired": adapt.Controller(gait, adapt.Landing(), reflex)}, table)
 
