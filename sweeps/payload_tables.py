@@ -1,6 +1,7 @@
 """The thesis' Tables 4.1, 4.2, 4.3 in full: 48 loading times x 6 loads, without reflex, original and modified reflex.
 
-Table 4.1 is what elkahlout's assumed numbers were calibrated on; 4.2 and 4.3 are predictions.
+On Table 4.1 elkahlout's toe and heel were calibrated, on 4.2 and 4.3 the floor's grip, one number; where the failures
+of the last two lie is a prediction.
 
     python sweeps/payload_tables.py --out runs/payload_tables
 """
@@ -13,6 +14,7 @@ import polars as pl
 
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
+from jaxbiped.commands import choices
 from jaxbiped.report import grids, overview, page, tables
 
 LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
@@ -33,9 +35,10 @@ def experiment() -> jb.batch.Experiment:
         "modified": Controller(gait, payload=PayloadReflex.modified(robot, gait)),
     }
     start = float(gait.params.T_ini)
-    scenarios = jb.batch.grid(load_kg=LOADS, load_time_s=[start + t for t in TIMES])
-    options = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
-    return jb.batch.Experiment(robot, arms, scenarios, options)
+    scenarios = jb.batch.grid(
+        load_kg=LOADS, load_time_s=[start + t for t in TIMES], friction=[choices.floor_friction(robot, gait)]
+    )
+    return jb.batch.Experiment(robot, arms, scenarios, choices.simulation_options(robot, gait))
 
 
 def write_csv(walks: pl.DataFrame, start: float, file: Path) -> None:

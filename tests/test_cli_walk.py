@@ -3,12 +3,14 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from jaxbiped import cli, score, sim
-from jaxbiped.commands import walk, walk_words
+from jaxbiped import cli, planner, robot, score, sim
+from jaxbiped.adapt import tunables
+from jaxbiped.commands import choices, obstacles, payload, tune, walk, walk_words
 from jaxbiped.commands.common import InputError
 from jaxbiped.commands.walk_input import Arms, Load, Obstacle, Setup, set_up
 
@@ -73,7 +75,8 @@ def test_arms(obstacles, payload, arms, expected):
 def test_the_file_of_an_arm_brings_its_own_gait(tmp_path):
     file = tmp_path / "tuned.toml"
     file.write_text(
-        "[payload]\nbase = 'modified'\nreflex_time = 0.3\n[gait]\nb_s = 0.09\n[origin]\nsteps = 3\n"
+        "[payload]\nbase = 'modified'\nreflex_time = 0.3\n[gait]\nb_s = 0.09\n"
+        "allow_infeasible = true\n[origin]\nsteps = 3\n"
     )
     setup = made(payload="10@2.4", arms=str(file))
     assert setup.arms == Arms("off", str(file)) and setup.controller.landing is None
@@ -81,6 +84,59 @@ def test_the_file_of_an_arm_brings_its_own_gait(tmp_path):
     assert reflex is not None and float(reflex.params.reflex_time) == pytest.approx(0.3)
     assert setup.gait is setup.controller.gait
     assert float(setup.gait.params.b_s) == pytest.approx(0.09) != float(made().gait.params.b_s)
+
+
+def test_a_plan_that_breaks_a_constraint_is_told_with_the_reason_where_it_is_known():
+    (words,) = choices.broken(made().robot, made().gait)
+    assert re.match(
+        r"got a ZMP 0\.\d+ m outside the support polygon at t = .* on robot 'elkahlout', allowed", words
+    )
+    assert "; known of this preset: these are the thesis' own numbers" in words
+    other = tunables.other_gait(made().robot, made().gait, {"b_s": 0.09}, allow_infeasible=True)
+    (words,) = choices.broken(made().robot, other)
+    assert "outside the support polygon" in words and "known" not in words
+    assert choices.broken(made("surena3").robot, made("surena3").gait) == []
+
+
+def short_soled(folder: Path) -> str:
+    """surena3 on soles too short for its gait."""
+    preset = Path(robot.__file__).parent / "presets" / "surena3.toml"
+    text = preset.read_text(encoding="utf-8")
+    for name, value in (("toe", 0.1325), ("heel", -0.1325)):
+        text = text.replace(
+            f"sole_{name} = {{ value = {value}", f"sole_{name} = {{ value = {value / 10.0:.4f}"
+        )
+    file = folder / "short_soled.toml"
+    file.write_text(text.replace('name = "surena3"', 'name = "short_soled"', 1), encoding="utf-8")
+    return str(file)
+
+
+@pytest.mark.parametrize("command", [walk, obstacles, payload, tune], ids=lambda c: c.__name__.split(".")[-1])
+def test_a_preset_that_does_not_fit_the_robot_is_refused_unless_that_is_allowed(tmp_path, command):
+    file = short_soled(tmp_path)
+
+    def gait(allowed: bool) -> Any:
+        if command is walk:
+            return set_up(file, 2, None, [], [], [], allowed).gait
+        given = {
+            "robot": file,
+            "allow_infeasible": allowed,
+            "arm": "repaired" if command is tune else ("off",),
+        }
+        if command is obstacles:
+            given |= {"steps": 2, "heights": (0.0,), "step": (1,)}
+        if command is payload:
+            given |= {"steps": 2, "loads": (1.0,), "times": (0.5,)}
+        if command is tune:
+            given |= {"what": ("landing.T_mod",), "scenarios": 2}
+        one = getattr(command, command.__name__.split(".")[-1].capitalize())(**given)
+        found = command.set_up(one)
+        made: Any = found.arms if command is obstacles else found[0].arms if command is payload else None
+        return found[0].controller.gait if made is None else made["off"].gait
+
+    with pytest.raises(InputError, match=r"^--robot, --gait: gait: got a ZMP .*; or say --allow-infeasible$"):
+        gait(False)
+    assert type(gait(True)) is planner.PolynomialGait
 
 
 def test_obstacles_and_payload_are_in_the_scenario():
@@ -222,11 +278,18 @@ REFLEX_TOLD = {
     "resumed_s": None,
     "x_shift_m": 0.0245,
 }
+
+
+def load_told(time, end=None):
+    return {"payload": {"mass_kg": 10.0, "time_s": time, "end_s": end, "thesis_time_s": time - 1.2}}
+
+
 TOLD = {
     "robot": "elkahlout",
     "gait": "cosine",
     "steps": 6,
     "planned_s": 16.8,
+    "constraints_broken": [],
     "arm": {"landing": "off", "reflex": "modified"},
     "obstacles": [{"step": 2, "height_m": -0.02}],
     "payload": {"mass_kg": 10.0, "time_s": 2.4, "thesis_time_s": 1.2},
@@ -268,7 +331,18 @@ TOLD = {
             "reflex 1 at 2.430 s (thesis 1.230 s): both feet down 2.530, settled 6.530, x_ref shifted 7.030;",
         ),
         ({}, "x_ref moved by +24.5 mm"),
+        ({"constraints_broken": ["got a ZMP"]}, "the plan breaks a constraint: got a ZMP"),
         ({}, "-2 cm under step 2; 10 kg at 2.400 s (thesis 1.200 s)"),
+        (load_told(2.4, 5.0), "10 kg at 2.400 s (thesis 1.200 s), taken off at 5.000 s (thesis 3.800 s)"),
+        (load_told(0.0), "10 kg carried from the start; landing"),
+        (load_told(0.0), "success: the walk is finished, at 15.10 s"),
+        (load_told(0.0, 5.0), "10 kg carried from the start, taken off at 5.000 s"),
+        ({**load_told(0.0, 5.0), "reflexes": []}, "no reflex: the load was not felt"),
+        (load_told(0.0, 5.0), "success: two whole steps after load and recovery"),
+        (
+            {**load_told(0.0), "success": False, "status": "unfinished", "reflexes": []},
+            "unfinished: the simulation ended before the walk",
+        ),
         (
             {"steps_without_touch": 2, "out_of_reach_s": 0.5},
             "2 steps without a touch, targets out of reach for 0.50 s",

@@ -34,6 +34,7 @@ smooth_resume = true
 
 [gait]
 b_s = 0.085
+allow_infeasible = true
 
 [origin]
 anything = [{ at = "all" }, 3]
@@ -162,6 +163,11 @@ BAD = {
     "[gait]\nstride = 1.0\n": ["gait.stride: unknown", "b_s"],
     "[gait]\nn_steps = 3\n": ["gait.n_steps: unknown"],
     "[gait]\nb_s = 0.4\n": ["gait: got a ", "every foot position within reach"],
+    "[gait]\nb_s = 0.085\n": ["gait: got a ZMP ", "; or say allow_infeasible = true in [gait]"],
+    "[gait]\nb_s = 0.085\nallow_infeasible = false\n": ["gait: got a ZMP "],
+    "[gait]\nallow_infeasible = 1\n": ["gait.allow_infeasible: got 1, allowed: true or false"],
+    "[gait]\nstart_stop = 0.1\n": ["gait.start_stop: unknown"],
+    "[gait]\nstart_stop.x_s_first = 0.1\n": ["gait.start_stop.x_s_first: unknown", "b_s"],
     # no TOML
     "base = ": ["got no TOML"],
     "a = " + "[" * 100_000: ["nesting"],

@@ -30,6 +30,9 @@ Scalar = Float[Array, ""]
 _BISECTIONS = 40
 _SHAKEN_TIME = 0.5
 """For how long after a touch the foot forces say little about the weight [s]."""
+SMALLEST_T_MOD, SMALLEST_WAY = 5e-3, 1e-5
+"""Time [s] in which a foot whose switches close on the ground is stopped, where there is no way to set it down; and the
+way [m] that is taken for none."""
 
 
 PARAMETERS: dict[str, Quantity | Flag] = {
@@ -37,8 +40,7 @@ PARAMETERS: dict[str, Quantity | Flag] = {
         "m",
         0.0,
         0.1,
-        True,
-        text="Height of the sole over the ground when a switch closes, as the controller believes.",
+        text="Height of the sole over the ground when a switch closes, as the controller believes; 0: on the ground.",
     ),
     "T_mod": Quantity(
         "s",
@@ -278,7 +280,8 @@ class LandingStage(eqx.Module):
         late = tau > phase.T_s
         T_mod = self.T_mod
         if p.no_undershoot:
-            T_mod = jnp.minimum(T_mod, _longest_set_down(velocity[1], acceleration[1], p.delta_z))
+            longest = _longest_set_down(velocity[1], acceleration[1], jnp.maximum(p.delta_z, SMALLEST_WAY))
+            T_mod = jnp.minimum(T_mod, jnp.maximum(longest, SMALLEST_T_MOD))
         in_plan = phase.kind == PLANNED_STEP
         way = jnp.where(in_plan, self.delta_x[phase.step], 0.5 * velocity[0] * T_mod)
         return eqx.tree_at(
@@ -355,7 +358,10 @@ class LandingStage(eqx.Module):
 
 
 def nominal_T_mod(gait: Gait, delta_z: Scalar) -> Scalar:
-    """Time the plan's swing foot needs from height `delta_z` [m] to the ground [s]: z(T_s - T_mod) = delta_z."""
+    """Time the plan's swing foot needs from height `delta_z` [m] to the ground [s]: z(T_s - T_mod) = delta_z.
+
+    At least SMALLEST_T_MOD: from height 0 no time is needed, and there its derivative is infinite.
+    """
     timing = gait.timing
     start, swing = timing.liftoff(0), timing.first_swing
 
@@ -371,7 +377,10 @@ def nominal_T_mod(gait: Gait, delta_z: Scalar) -> Scalar:
     (tau, _), _ = jax.lax.scan(halve, (0.5 * timing.T_s, timing.T_s), None, length=_BISECTIONS)
     tau = jax.lax.stop_gradient(tau)
     value, slope = jax.jvp(above, (tau,), (jnp.ones_like(tau),))
-    return timing.T_s - (tau - value / jax.lax.stop_gradient(slope))
+    slope = jax.lax.stop_gradient(slope)
+    falling = slope < -SMALLEST_WAY  # at rest on the ground it is not
+    T_mod = timing.T_s - (tau - value / jnp.where(falling, slope, -1.0))
+    return jnp.maximum(T_mod, SMALLEST_T_MOD)
 
 
 def _last_way(gait: Gait, step: Int[Array, ""], T_mod: Scalar) -> Scalar:

@@ -1,11 +1,13 @@
 """What can be tuned: the few numbers of the adaptation, each with bounds, unit and the papers' default.
 
-A name is `landing.T_mod`, `payload.settling_time` or `gait.D_s`. Defaults are those of the arm that is tuned.
+A name is `landing.T_mod`, `payload.settling_time`, `gait.D_s` or `gait.start_stop.x_s_first`. Defaults are those of
+the arm that is tuned.
 """
 
-import dataclasses
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import equinox as eqx
@@ -16,10 +18,14 @@ from jaxtyping import Array, Float
 from jaxbiped.adapt import landing, payload
 from jaxbiped.adapt.controller import Controller
 from jaxbiped.checked import Quantity
+from jaxbiped.planner import GaitError, violations
+from jaxbiped.planner.polynomial import as_scalar
 from jaxbiped.robot import RobotParams
 
 GAIT_ROOM = 0.3
 """How far a gait's parameter may go from where it is, as a share of it."""
+SMALLEST = 0.01
+"""What that share is taken of where the parameter is smaller than this, in its unit."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +50,8 @@ class Tunable:
 
     @property
     def field(self) -> str:
-        """Name of the parameter in its record."""
-        return "x_reflex" if self.index else self.name.split(".")[1]
+        """Name of the parameter in its record, dotted where that holds another record."""
+        return "x_reflex" if self.index else self.name.partition(".")[2]
 
 
 DECLARED = {"landing": landing.PARAMETERS, "payload": payload.PARAMETERS}
@@ -136,9 +142,12 @@ def apply(
 def with_values(
     robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
 ) -> tuple[Any, dict[str, Any]]:
-    """What `apply` plans with: the gait, and the parameters of both stages by name."""
+    """What `apply` plans with: the gait, and the parameters of both stages by name.
+
+    A descent goes through plans that break a constraint by a little, so that none is refused for that here.
+    """
     own = {t.field: new[i] for i, t in enumerate(tunables) if t.stage == "gait"}
-    gait, stages = other_gait(robot, controller.gait, own), {}
+    gait, stages = other_gait(robot, controller.gait, own, allow_infeasible=True), {}
     for stage in ("landing", "payload"):
         planned = getattr(controller, stage)
         params = None if planned is None else planned.params
@@ -153,11 +162,12 @@ def with_values(
 
 
 def as_tables(
-    controller: Controller, tunables: Sequence[Tunable], new: Sequence[float]
+    robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Sequence[float]
 ) -> dict[str, dict[str, Any]]:
     """The values as the tables of an arm's TOML file: stage, parameter, value.
 
-    Where the gait is tuned, what the payload stage had read off the old one is kept as numbers.
+    Where the gait is tuned, what the payload stage had read off the old one is kept as numbers, and the table [gait]
+    says `allow_infeasible = true` if the new one breaks a constraint.
     """
     tables: dict[str, dict[str, Any]] = {}
     if controller.payload is not None and any(t.stage == "gait" for t in tunables):
@@ -173,6 +183,11 @@ def as_tables(
             whole[t.index[0]][t.index[1]] = float(value)
         else:
             table[t.field] = float(value)
+    if "gait" in tables:
+        with contextlib.suppress(GaitError):  # out of reach: the file is refused where it is read
+            gait = other_gait(robot, controller.gait, tables["gait"], allow_infeasible=True)
+            if violations(robot, gait):
+                tables["gait"]["allow_infeasible"] = True
     return tables
 
 
@@ -180,30 +195,49 @@ def _parameter(controller: Controller, t: Tunable) -> Array:
     if t.name == "landing.T_mod":
         assert controller.landing is not None
         return controller.landing.T_mod
-    stage = getattr(controller, t.stage)
-    return jnp.asarray(getattr(stage.params, t.field))
+    return jnp.asarray(attrgetter(t.field)(getattr(controller, t.stage).params))
 
 
 def gait_fields(gait: Any) -> list[str]:
-    """Names of a gait's parameters that are one number."""
-    return [name for name, value in vars(gait.params).items() if eqx.is_array(value) and value.ndim == 0]
+    """Dotted names of a gait's parameters that are one number."""
+    return _numbers_in(gait.params, "")
 
 
-def other_gait(robot: RobotParams, gait: Any, new: Mapping[str, Any]) -> Any:
-    """The gait with other values of some of its parameters, planned anew.
+def _numbers_in(record: Any, prefix: str) -> list[str]:
+    names: list[str] = []
+    for name, value in vars(record).items():
+        if isinstance(value, eqx.Module):
+            names += _numbers_in(value, f"{prefix}{name}.")
+        elif eqx.is_array(value) and value.ndim == 0:
+            names.append(f"{prefix}{name}")
+    return names
+
+
+def other_gait(
+    robot: RobotParams, gait: Any, new: Mapping[str, Any], *, allow_infeasible: bool = False
+) -> Any:
+    """The gait with other values of some of its parameters, by their dotted names, planned anew.
+
+    Args:
+        robot: that walks.
+        gait: to be changed.
+        new: the values.
+        allow_infeasible: whether to plan what breaks a constraint, too.
 
     Raises:
         GaitError: if it cannot be walked (only where the values are known).
     """
     if not new:
         return gait
-    params = dataclasses.replace(gait.params, **new)
-    return type(gait).make(robot, params, gait.n_steps, gait.first_swing)
+    own = [as_scalar(value) for value in new.values()]
+    params = eqx.tree_at(lambda p: [attrgetter(name)(p) for name in new], gait.params, own)
+    return type(gait).make(robot, params, gait.n_steps, gait.first_swing, allow_infeasible=allow_infeasible)
 
 
 def _of_gait(name: str, controller: Controller) -> Tunable:
-    now = float(getattr(controller.gait.params, name.split(".")[1]))
-    room = GAIT_ROOM * max(abs(now), 0.01)
-    declared = getattr(type(controller.gait), "quantities", {}).get(name.split(".")[1], Quantity())
+    field = name.partition(".")[2]
+    now = float(attrgetter(field)(controller.gait.params))
+    room = GAIT_ROOM * max(abs(now), SMALLEST)
+    declared = getattr(type(controller.gait), "quantities", {}).get(field, Quantity())
     low, high = max(now - room, declared.low), min(now + room, declared.high)
     return Tunable(name, low, high, declared.unit, "parameter of the gait")

@@ -18,6 +18,7 @@ from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
 from jaxbiped.sim.rollout import DURATION
 from jaxbiped.sim.scenario import pad_under, require_clear_start, require_swing_clears
+from jaxbiped.sim.stability import require_stable_dt
 
 MAX_BATCH = 65536
 MAX_LANES = 128
@@ -82,6 +83,9 @@ class Experiment:
                 f"trace_every: got {self.options.trace_every}, allowed: 0; replay a row for its trace"
             )
         inputs.require_apart(self.table, self.pads)
+        if judge:
+            least, strongest = self.table["sinkage_m"].min(), self.table["gain_scale"].max()
+            require_stable_dt(self.robot, self.options.dt, float(least), float(strongest))  # type: ignore[arg-type]
         for name, arm in self.arms.items() if judge else ():
             self._require_walkable(name, arm)
 
@@ -128,11 +132,11 @@ class Experiment:
 
     @cached_property
     def durations(self) -> dict[str, float]:
-        """How long the walks of every arm are simulated [s]: the plan, and the longest recovery where loads come."""
+        """How long the walks of every arm are simulated [s]: the plan, and a recovery for every change of weight."""
         if self.duration is not None:
             return dict.fromkeys(self.arms, self.duration)
-        loaded = bool(((self.table["load_kg"] > 0.0) & (self.table["load_time_s"] < inputs.NEVER)).any())
-        needed = {name: watch_time(arm, loaded) for name, arm in self.arms.items()}
+        changes = inputs.changes_of_weight(self.table)
+        needed = {name: watch_time(arm, changes) for name, arm in self.arms.items()}
         # Arms with the same stages share what is compiled, if they are walked for the same time.
         alike = {name: (arm.payload is None, arm.landing is None) for name, arm in self.arms.items()}
         return {

@@ -1,17 +1,21 @@
 """What a scenario table may say: one column for each number of a scenario, its unit in its name.
 
 A table is a polars frame with one row for each scenario; a column that is not given has its default everywhere.
-`step_K_height_m` is the height of a pad under the foothold of step K, negative for a hole.
+Of some columns there are many, and a table has those it is given: `step_K_height_m`, the height of a pad under the
+foothold of step K; `switch_SIDE_CORNER_stuck` and `switch_SIDE_CORNER_gap_m` of the switch at one corner of a sole.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
 
 from jaxbiped.checked import Quantity, nearest
+from jaxbiped.robot import SIDE_NAMES
 from jaxbiped.sim import Scenario
+from jaxbiped.sim.model import CORNER_NAMES
 from jaxbiped.sim.scenario import (
     NEVER,
     RANGES,
@@ -36,15 +40,19 @@ class Input:
 
 _DEFAULTS = {
     "load_kg": (0.0, "payload; 0 for none"),
-    "load_time_s": (NEVER, "when it is attached, since the start of the walk"),
+    "load_time_s": (
+        NEVER,
+        "when it is attached, since the start of the walk; 0: carried from the start, as own weight",
+    ),
+    "load_end_s": (NEVER, "when it is taken off"),
     "load_x_m": (0.2, "its centre forward of the pelvis"),
     "load_y_m": (0.0, "its centre to the left of the pelvis"),
     "load_z_m": (0.25, "its centre above the pelvis"),
     "load_size_m": (0.2, "edge of its cube"),
     "friction": (0.8, "Coulomb coefficient of the ground"),
-    "sinkage_m": (3e-4, "how deep the standing robot sinks in: compliance of the ground"),
-    "damping_s_per_m": (10.0, "damping of the ground"),
-    "slip_speed_m_per_s": (0.01, "sliding speed at which friction reaches 71 % of Coulomb's"),
+    "sinkage_m": (1.2e-4, "how deep the standing robot sinks in: compliance of the ground"),
+    "damping_s_per_m": (250.0, "damping of the ground"),
+    "slip_speed_m_per_s": (1e-4, "sliding speed at which friction reaches 71 % of Coulomb's"),
     "trunk_mass_scale": (1.0, "factor on the mass and inertia of the trunk"),
     "leg_mass_scale": (1.0, "factor on the masses and inertias of the legs"),
     "com_x_m": (0.0, "shift of the trunk's centre of mass forward"),
@@ -54,8 +62,11 @@ _DEFAULTS = {
     "delta_z_m": (0.01, "gap at which the contact switches close"),
     "bounce_s": (0.0, "for how long a closing switch bounces"),
     "delay_s": (0.0, "how late every reading arrives"),
-    "force_noise_N": (0.0, "standard deviation of every corner force"),
-    "angle_noise_rad": (0.0, "standard deviation of joint angles, roll and pitch"),
+    "force_noise_N": (0.0, "standard deviation of every corner force; ZMP and ankle wrenches follow"),
+    "angle_noise_rad": (
+        0.0,
+        "standard deviation of joint angles, roll and pitch; joint speeds and the ZMP seen from the pelvis follow",
+    ),
     "push_x_N": (0.0, "push on the trunk, forward"),
     "push_y_N": (0.0, "push on the trunk, to the left"),
     "push_z_N": (0.0, "push on the trunk, upward"),
@@ -68,7 +79,15 @@ INPUTS = {name: Input(RANGES[name], default, what) for name, (default, what) in 
 SEED = "seed"
 """Column of the sensors' noise; whole numbers."""
 HEIGHT = Input(RANGES["height_m"], 0.0, "height of a pad under the foothold of a step, negative for a hole")
+STUCK = Input(Quantity("", 0.0, 1.0), 0.0, "1 for a contact switch that never closes, else 0")
+GAP = Input(RANGES["delta_z_m"], 0.01, "gap at which one contact switch closes, instead of delta_z_m")
 _HEIGHT_NAME = re.compile(r"step_(0|[1-9]\d*)_height_m")
+_SWITCHES = {(i, j): f"switch_{a}_{b}" for i, a in enumerate(SIDE_NAMES) for j, b in enumerate(CORNER_NAMES)}
+"""How the columns of the switch at a side and corner begin."""
+_SWITCH_COLUMNS = {
+    **{f"{name}_stuck": STUCK for name in _SWITCHES.values()},
+    **{f"{name}_gap_m": GAP for name in _SWITCHES.values()},
+}
 
 
 def height_column(step: int) -> str:
@@ -76,10 +95,17 @@ def height_column(step: int) -> str:
     return f"step_{step}_height_m"
 
 
-def steps_of(columns: list[str]) -> list[int]:
+def steps_of(columns: Sequence[str]) -> list[int]:
     """The steps whose footholds have a column, in order."""
     found = [_HEIGHT_NAME.fullmatch(name) for name in columns]
     return sorted(int(match[1]) for match in found if match)
+
+
+def declared(columns: Sequence[str]) -> dict[str, Input]:
+    """What a table with these columns may say, by the names of the columns; all but the seed."""
+    heights = {height_column(step): HEIGHT for step in steps_of(columns)}
+    switches = {name: one for name, one in _SWITCH_COLUMNS.items() if name in columns}
+    return {**INPUTS, **heights, **switches}
 
 
 def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
@@ -94,19 +120,41 @@ def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
     """
     if scenarios.height == 0:
         raise ValueError("scenarios: got none, allowed: at least one row")
-    steps = steps_of(scenarios.columns)
-    known = {**INPUTS, **{height_column(step): HEIGHT for step in steps}}
+    known = declared(scenarios.columns)
     for name in scenarios.columns:
         if name not in known and name != SEED:
             every = [*known, SEED]
             raise ValueError(
-                f"scenarios: got column '{name}', allowed: {', '.join(every)}, step_K_height_m{nearest(name, every)}"
+                f"scenarios: got column '{name}', allowed: {', '.join(every)}, step_K_height_m, "
+                f"switch_SIDE_CORNER_stuck, switch_SIDE_CORNER_gap_m{nearest(name, [*every, *_SWITCH_COLUMNS])}"
             )
     columns = [
         _column(scenarios, name, one) if name in scenarios.columns else pl.lit(one.default).alias(name)
         for name, one in known.items()
     ]
-    return scenarios.select(*columns, _seeds(scenarios, seed))
+    table = scenarios.select(*columns, _seeds(scenarios, seed))
+    _require_ends_after(table)
+    return table
+
+
+def changes_of_weight(table: pl.DataFrame) -> int:
+    """How often the weight changes suddenly in a walk, at most: a load carried from the start is put on unnoticed."""
+    is_loaded = pl.col("load_kg") > 0.0
+    on, off = (
+        is_loaded & (pl.col(name) > 0.0) & (pl.col(name) < NEVER) for name in ("load_time_s", "load_end_s")
+    )
+    return int(table.select(on.cast(int) + off.cast(int)).to_series().max())  # type: ignore[arg-type]
+
+
+def _require_ends_after(table: pl.DataFrame) -> None:
+    """Refuse loads that are taken off before they are put on."""
+    time, end = (table[name].to_numpy() for name in ("load_time_s", "load_end_s"))
+    wrong = np.flatnonzero((table["load_kg"].to_numpy() > 0.0) & (end <= time) & (end < NEVER))
+    if len(wrong):
+        row = int(wrong[0])
+        raise ValueError(
+            f"load_end_s, row {row}: got {end[row]:g} s, allowed: > load_time_s, {time[row]:g} s"
+        )
 
 
 def _column(scenarios: pl.DataFrame, name: str, one: Input) -> pl.Series:
@@ -121,6 +169,9 @@ def _column(scenarios: pl.DataFrame, name: str, one: Input) -> pl.Series:
         if given[row] is None:
             raise ValueError(f"{name}: got nothing in row {row}, allowed: {one.range.allowed}")
         one.range.check(f"{name}, row {row}", float(array[row]))
+    if one is STUCK and not np.isin(array, (0.0, 1.0)).all():
+        row = int(np.flatnonzero(~np.isin(array, (0.0, 1.0)))[0])
+        raise ValueError(f"{name}, row {row}: got {array[row]:g}, allowed: 0 or 1")
     return values
 
 
@@ -163,6 +214,12 @@ def scenarios_of(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]
     def everywhere(name: str, *shape: int) -> np.ndarray:
         return np.broadcast_to(value[name].reshape(n, *(1 for _ in shape)), (n, *shape))
 
+    stuck, gap = np.zeros((n, 2, 4)), everywhere("delta_z_m", 2, 4).copy()
+    for place, name in _SWITCHES.items():
+        for ending, array in (("stuck", stuck), ("gap_m", gap)):
+            if f"{name}_{ending}" in table.columns:
+                array[:, *place] = table[f"{name}_{ending}"].to_numpy()
+
     return Scenario(
         terrain=_terrain(table, places),
         payload=Payload(
@@ -170,6 +227,7 @@ def scenarios_of(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]
             time=value["load_time_s"],
             place=vector("load_x_m", "load_y_m", "load_z_m"),
             size=value["load_size_m"],
+            end=value["load_end_s"],
         ),
         push=Push(
             force=vector("push_x_N", "push_y_N", "push_z_N"),
@@ -188,8 +246,8 @@ def scenarios_of(table: pl.DataFrame, places: list[tuple[np.ndarray, np.ndarray]
             gain_scale=everywhere("gain_scale", 2, 6),
         ),
         sensors=SensorFaults(
-            delta_z=everywhere("delta_z_m", 2, 4),
-            stuck_open=np.zeros((n, 2, 4)),
+            delta_z=gap,
+            stuck_open=stuck,
             bounce=value["bounce_s"],
             delay=value["delay_s"],
             force_noise=value["force_noise_N"],

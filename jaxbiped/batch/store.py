@@ -159,7 +159,7 @@ class Store:
         Raises:
             DamagedError: if the file is not this chunk's, or not as it was written.
         """
-        return read_part(self.part(chunk), self.key, self.experiment, chunk)
+        return read_part(self.part(chunk), self.key, self.experiment.table, chunk)
 
     def write(self, chunk: Chunk, rows: pl.DataFrame) -> None:
         """Keep the rows of a finished chunk.
@@ -275,6 +275,8 @@ class Store:
 def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl.DataFrame]:
     """The experiment and the rows, finished so far, of a folder or its `table.parquet`; nothing on the disk is changed.
 
+    The rows have the inputs that were written; one that a version had not yet has its default in the experiment.
+
     Args:
         path: folder that a batch was run in, or the table in it.
         tell: is told of every part that is damaged, and therefore left out.
@@ -296,12 +298,12 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         why = " ".join(str(error).split())[:160]
         raise StoreError(f"table: got '{path}' ({why}), allowed: a folder that a batch was run in") from None
-    rows = []
+    rows, written = [], experiment.table.select(scenarios.columns)
     for chunk in experiment.chunks:
         part = part_file(folder, key, chunk)
         if os.path.lexists(part):
             try:
-                rows.append(read_part(part, None if version is None else key, experiment, chunk))
+                rows.append(read_part(part, None if version is None else key, written, chunk))
             except DamagedError as error:
                 tell(f"'{part}' is damaged ({error}): left out; running the same command again makes it anew")
     if not rows:
@@ -319,13 +321,13 @@ def part_file(folder: Path, key: str, chunk: Chunk) -> Path:
     return folder / PARTS / f"{key[:16]}-{chunk.number:05d}.parquet"
 
 
-def read_part(path: Path, key: str | None, experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
+def read_part(path: Path, key: str | None, scenarios: pl.DataFrame, chunk: Chunk) -> pl.DataFrame:
     """Rows of a chunk, if the file is that chunk's and as it was written.
 
     Args:
         path: of the file.
         key: of the experiment; None for a part of version 0.1, which says neither whose it is nor its checksum.
-        experiment: whose part it is.
+        scenarios: of the experiment whose part it is, with every input that was written.
         chunk: which part.
 
     Raises:
@@ -340,7 +342,7 @@ def read_part(path: Path, key: str | None, experiment: Experiment, chunk: Chunk)
     frame = _frame(content)
     if key is not None:
         _require_seal(content, {"key": key, **_identity(chunk)})
-    inputs = experiment.table[chunk.start : chunk.stop]
+    inputs = scenarios[chunk.start : chunk.stop]
     expected = {
         "row": np.arange(chunk.stop - chunk.start) + chunk.first_row + chunk.start,
         "arm": [chunk.arm] * inputs.height,

@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from jaxbiped.batch.inputs import INPUTS, NEVER, height_column, steps_of
+from jaxbiped.batch import intervals
+from jaxbiped.batch.inputs import NEVER, declared
+from jaxbiped.batch.intervals import CONFIDENCE
 
-CONFIDENCE = 0.95
-"""Of every interval here."""
 BINS = 8
 """Most parts an input is cut into to see whether it decides."""
-RESAMPLES = 10_000
-"""Of the bootstrap."""
 UP, DOWN = "up", "down"
 """Ways a limit is looked for."""
 
@@ -65,7 +63,7 @@ class PairedMeans:
     """Mean of `arm` less that of `against`."""
     low: float
     high: float
-    """Ends of the 95 % interval of the difference: percentiles of RESAMPLES means of pairs drawn again."""
+    """Ends of the 95 % interval of the difference: Student's t for few scenarios, else BCa, see `intervals.of_mean`."""
 
 
 def wilson(successes: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -95,8 +93,8 @@ def arms(table: pl.DataFrame) -> list[str]:
 
 def inputs(table: pl.DataFrame) -> list[str]:
     """Columns of the quantities a walk was given, in the table's order: declared inputs only."""
-    declared = {*INPUTS, *map(height_column, steps_of(table.columns))}
-    return [name for name in table.columns if name in declared]
+    known = declared(table.columns)
+    return [name for name in table.columns if name in known]
 
 
 def without_never(table: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:
@@ -178,9 +176,7 @@ def paired_means(table: pl.DataFrame, arm: str, against: str, what: pl.Expr) -> 
     if not len(pairs):
         raise ValueError(f"arms {arm!r} and {against!r} have no scenario in which both succeed")
     gap = pairs[:, 0] - pairs[:, 1]
-    drawn = np.random.default_rng(0).integers(0, len(gap), (RESAMPLES, len(gap)))
-    ends = 0.5 + np.array([-0.5, 0.5]) * CONFIDENCE
-    low, high = (float(end) for end in np.quantile(gap[drawn].mean(axis=1), ends))
+    low, high = intervals.of_mean(gap)
     mean, other = (float(mean) for mean in pairs.mean(axis=0))
     return PairedMeans(arm, against, name, len(gap), mean, other, float(gap.mean()), low, high)
 
@@ -227,7 +223,10 @@ def frontier(
 ) -> pl.DataFrame:
     """Find how far up an input can go before an arm's success rate first falls below a level.
 
-    The walk up ends at the first value that falls short: a larger one that does well again does not count.
+    The walk up ends at the first value that falls short: a larger one that does well again does not count. Rates are
+    counted from few walks. How far that may be out is told by Wilson's 95 % interval of the rate at every value: the
+    limit is sure to reach up to `low`, up to which the lower ends do not fall short, and is sure not to reach `high`,
+    the first value at which the upper end does.
 
     Args:
         table: one row per walk; `what` takes few values, each met by several walks.
@@ -237,24 +236,22 @@ def frontier(
         signed: `what` runs both ways from 0 (heights): go up from 0 and down from 0 instead of up from the smallest.
 
     Returns:
-        Columns arm, `by`, direction ("up" or "down"), level, `what` (null if the first value falls short already) and
-        beyond: whether every value tested holds, so that the true limit may lie further out.
+        Columns arm, `by`, direction ("up" or "down"), level, `what` (null if the first value falls short already),
+        low (null if not even the first value is sure), high (null if no value tested is surely too much) and beyond:
+        whether every value tested holds, so that the true limit may lie further out.
     """
     groups = ["arm"] if by is None else ["arm", by]
     known = without_never(table, [what, *groups[1:]]).drop_nulls([what, *groups])
     rows = [
         (*key, direction, level, *_limit(ladder, level))
         for key, cell in cells(known, [*groups[1:], what]).group_by(groups, maintain_order=True)
-        for direction, ladder in _ladders(cell.select(what, "rate"), signed)
+        for direction, ladder in _ladders(cell.select(what, "rate", "low", "high"), signed)
         for level in levels
     ]
+    value = table.schema[what]
     schema = {name: table.schema[name] for name in groups}
-    schema |= {
-        "direction": pl.String(),
-        "level": pl.Float64(),
-        what: table.schema[what],
-        "beyond": pl.Boolean(),
-    }
+    schema |= {"direction": pl.String(), "level": pl.Float64()}
+    schema |= {what: value, "low": value, "high": value, "beyond": pl.Boolean()}
     return pl.DataFrame(rows, schema=schema, orient="row")
 
 
@@ -335,9 +332,13 @@ def _hypotenuse(one: float, other: float, phi: float) -> float:
     return math.sqrt(max(0.0, one**2 - 2.0 * phi * one * other + other**2))
 
 
-def _ladders(cell: pl.DataFrame, signed: bool) -> Iterator[tuple[str, list[tuple[Any, float]]]]:
+Rung = tuple[Any, float, float, float]
+"""A value, its success rate, and the ends of the rate's interval."""
+
+
+def _ladders(cell: pl.DataFrame, signed: bool) -> Iterator[tuple[str, list[Rung]]]:
     """Values and their rates on the way out, for every way there is."""
-    rungs = sorted(cell.iter_rows())
+    rungs: list[Any] = sorted(cell.iter_rows())
     if not signed:
         yield UP, rungs
         return
@@ -349,13 +350,14 @@ def _ladders(cell: pl.DataFrame, signed: bool) -> Iterator[tuple[str, list[tuple
         yield DOWN, below
 
 
-def _limit(ladder: Sequence[tuple[Any, float]], level: float) -> tuple[Any, bool]:
-    reached = None
-    for value, rate in ladder:
-        if rate < level:
-            return reached, False
-        reached = value
-    return reached, True
+def _limit(ladder: Sequence[Rung], level: float) -> tuple[Any, Any, Any, bool]:
+    """The limit, up to where it is sure to reach, from where on it is sure not to, and whether every value holds."""
+    values = [value for value, *_ in ladder]
+    held, sure, possible = (
+        next((i for i, rung in enumerate(ladder) if rung[k] < level), len(ladder)) for k in (1, 2, 3)
+    )
+    last, lowest = ([None, *values][n] for n in (held, sure))
+    return last, lowest, [*values, None][possible], held == len(ladder)
 
 
 def _cause(walks: pl.DataFrame, name: str) -> dict[str, Any]:

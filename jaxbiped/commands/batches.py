@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -82,26 +82,49 @@ def numbers(argument: str, values: Iterable[float], unit: str, low: float, high:
 
 
 def landing_arms(
-    names: Iterable[str], allowed: tuple[str, ...], params: robot.RobotParams, gait: Any
+    names: Iterable[str],
+    allowed: tuple[str, ...],
+    params: robot.RobotParams,
+    gait: Any,
+    allow_infeasible: bool = False,
 ) -> dict:
     """Controllers with landing adaptation by the names of their arms, or by TOML files."""
-    return _arms(names, allowed, params, gait, lambda n: adapt.Controller(gait, landing=landing_of(n)))
+
+    def make(name: str) -> adapt.Controller:
+        return adapt.Controller(gait, landing=landing_of(name))
+
+    return _arms(names, allowed, params, gait, allow_infeasible, make)
 
 
-def reflex_arms(names: Iterable[str], allowed: tuple[str, ...], params: robot.RobotParams, gait: Any) -> dict:
+def reflex_arms(
+    names: Iterable[str],
+    allowed: tuple[str, ...],
+    params: robot.RobotParams,
+    gait: Any,
+    allow_infeasible: bool = False,
+) -> dict:
     """Controllers with a payload reflex by the names of their arms, or by TOML files."""
-    return _arms(
-        names, allowed, params, gait, lambda n: adapt.Controller(gait, payload=reflex_of(n, params, gait))
-    )
+
+    def make(name: str) -> adapt.Controller:
+        return adapt.Controller(gait, payload=reflex_of(name, params, gait))
+
+    return _arms(names, allowed, params, gait, allow_infeasible, make)
 
 
-def _arms(names: Iterable[str], allowed: tuple[str, ...], params: Any, gait: Any, make: Any) -> dict:
+def _arms(
+    names: Iterable[str],
+    allowed: tuple[str, ...],
+    params: Any,
+    gait: Any,
+    allow_infeasible: bool,
+    make: Callable[[str], adapt.Controller],
+) -> dict:
     found: dict[str, adapt.Controller] = {}
     for name in names:
         if name in found:
             raise InputError(f"--arm: got '{name}' twice, allowed: each once")
         if name.endswith(".toml"):
-            found[name] = load_arm("--arm", Path(name), params, gait)
+            found[name] = load_arm("--arm", Path(name), params, gait, allow_infeasible)
         elif name in allowed:
             found[name] = make(name)
         else:

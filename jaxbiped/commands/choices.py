@@ -3,18 +3,32 @@
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+
 from jaxbiped import adapt, checked, planner, robot, sim
 from jaxbiped.adapt import landing, payload, tunables
+from jaxbiped.batch.inputs import INPUTS
 from jaxbiped.checked import Quantity, Refusal, Word
 from jaxbiped.commands.common import InputError
+from jaxbiped.planner.constraints import OR_ALLOW
 
 GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
+PRESETS = {planner.PolynomialGait: planner.polynomial_params, planner.CosineGait: planner.cosine_params}
 OWN_GAIT = {"elkahlout": "cosine"}
 """The gait of each preset robot's own paper, where it is not the polynomial one."""
+THESIS_FRICTION = 0.09
+"""Of the floor in the thesis' experiments. The thesis does not state it: assumed, the one number chosen by its Tables
+4.2 and 4.3 (`sweeps/calibrate_elkahlout.py`). On a floor with more grip no robot of its measures can pull its feet
+under its body in 0.1 s."""
 MOST_STEPS = 200
 OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = "off", "paper", "original", "modified", "repaired"
 LANDINGS = (OFF, PAPER, REPAIRED)
 REFLEXES = (OFF, ORIGINAL, MODIFIED, REPAIRED)
+ALLOW_KEY, ALLOW = "allow_infeasible", checked.Flag("the plan may break a constraint of khadiv section 2.2")
+ALLOW_HELP = (
+    "Simulate a plan, too, whose ZMP leaves the support polygon or that takes more torque, speed, friction or leg than "
+    "there is. Without it such a plan is refused, unless it is a preset that is known to be one."
+)
 STAGES: dict[str, dict[str, checked.Field]] = {
     "landing": {"base": Word(LANDINGS), **landing.PARAMETERS},
     "payload": {"base": Word(REFLEXES), **payload.PARAMETERS},
@@ -32,26 +46,50 @@ def own_gait(params: robot.RobotParams) -> str:
     return OWN_GAIT.get(params.preset_name, "polynomial")
 
 
-def make_gait(params: robot.RobotParams, name: str, steps: int) -> Any:
-    """The preset gait of a robot."""
+def make_gait(params: robot.RobotParams, name: str, steps: int, allow_infeasible: bool = False) -> Any:
+    """The preset gait of a robot; refused if it breaks a constraint, unless it is known to or that is allowed."""
     if name not in GAITS:
         raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}{checked.nearest(name, GAITS)}")
     if not 1 <= steps <= MOST_STEPS:
         raise InputError(f"--steps: got {steps}, allowed: 1 to {MOST_STEPS}")
     try:
-        return GAITS[name].preset(params, steps)
+        return GAITS[name].preset(params, steps, allow_infeasible=allow_infeasible)
     except planner.GaitError as error:
-        raise InputError(f"--robot, --gait: {error}") from None
+        raise InputError(f"--robot, --gait: {_as_flag(error)}") from None
+
+
+def broken(params: robot.RobotParams, gait: Any) -> list[str]:
+    """Say which constraints a plan breaks; a line for each, with the reason where a preset is known to break one."""
+    lines = [violation.words(params, gait) for violation in planner.violations(params, gait)]
+    known = planner.known_infeasible(type(gait), params)
+    if lines and known and eqx.tree_equal(gait.params, PRESETS[type(gait)](params)):
+        lines[-1] += f"; known of this preset: {known}"
+    return lines
+
+
+def _as_flag(error: Exception) -> str:
+    """A refusal in the words of the command line."""
+    return str(error).replace(OR_ALLOW, "; or say --allow-infeasible")
+
+
+def is_thesis(params: robot.RobotParams, gait: Any) -> bool:
+    """Whether this is the thesis' own walk."""
+    return params.preset_name == "elkahlout" and isinstance(gait, planner.CosineGait)
 
 
 def simulation_options(params: robot.RobotParams, gait: Any) -> sim.Options:
     """The thesis' own walk by its own means: no feed-forward, control every tick, trunk with load by Eqs. 3.8-3.10."""
-    thesis = params.preset_name == "elkahlout" and isinstance(gait, planner.CosineGait)
+    thesis = is_thesis(params, gait)
     return sim.Options(
         control_every=1 if thesis else 4,
         feed_forward=not thesis,
         payload_model="thesis" if thesis else "exact",
     )
+
+
+def floor_friction(params: robot.RobotParams, gait: Any) -> float:
+    """Friction of the floor where nobody says otherwise: THESIS_FRICTION for the thesis' own walk."""
+    return THESIS_FRICTION if is_thesis(params, gait) else INPUTS["friction"].default
 
 
 def clock_start(gait: Any) -> float:
@@ -78,7 +116,8 @@ def arm_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
     """The tables [landing], [payload] and [gait] of the TOML file of an arm, those that it has.
 
     The first two have `base`, the name of an arm, and any of the parameters of that stage; the last one parameters of
-    the gait. The table [origin], where the numbers came from, may hold anything and is not read.
+    the gait, those of its start and stop as `start_stop.x_s_first`, and `allow_infeasible = true` if its plan may break
+    a constraint. The table [origin], where the numbers came from, may hold anything and is not read.
 
     Args:
         argument: what to name in a refusal.
@@ -112,7 +151,9 @@ def arm_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
     return tables
 
 
-def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) -> adapt.Controller:
+def load_arm(
+    argument: str, path: Path, params: robot.RobotParams, gait: Any, allow_infeasible: bool = False
+) -> adapt.Controller:
     """A controller from the TOML file of an arm; stages that have no table are off.
 
     Args:
@@ -120,6 +161,7 @@ def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) ->
         path: of the file.
         params: the robot.
         gait: its gait, unless the file changes it.
+        allow_infeasible: whether the file's gait may break a constraint though the file does not say so.
 
     Raises:
         InputError: if the file cannot be read or says what cannot be meant.
@@ -127,24 +169,38 @@ def load_arm(argument: str, path: Path, params: robot.RobotParams, gait: Any) ->
     tables = arm_tables(argument, path)
     own, reflex = ({"base": OFF, **tables.get(name, {})} for name in STAGES)
     try:
-        gait = _other_gait(tables.get("gait", {}), params, gait)
+        gait = _other_gait(tables.get("gait", {}), params, gait, allow_infeasible)
         return adapt.Controller(
             gait,
             landing=landing_of(own.pop("base"), **own),
             payload=reflex_of(reflex.pop("base"), params, gait, **reflex),
         )
     except (TypeError, ValueError) as error:
-        raise InputError(f"{argument}: '{path}': {error}") from None
+        words = str(error).replace(OR_ALLOW, f"{OR_ALLOW.replace('=True', ' = true')} in [gait]")
+        raise InputError(f"{argument}: '{path}': {words}") from None
 
 
-def _gait_table(table: Any) -> dict[str, float]:
-    """The values of a table [gait]; which names and ranges there are is up to the gait."""
+def _gait_table(table: Any) -> dict[str, Any]:
+    """The values of a table [gait] by dotted names; which names and ranges there are is up to the gait."""
     if not isinstance(table, dict):
         raise Refusal(f"gait: got {checked.shown(table)}, allowed: a table [gait]")
-    return {name: Quantity().check(f"gait.{name[:80]}", value) for name, value in table.items()}
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        flat |= (
+            {f"{name}.{key}": item for key, item in value.items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
+    fields = {name: ALLOW if name == ALLOW_KEY else Quantity() for name in flat}
+    return {name: fields[name].check(f"gait.{name[:80]}", value) for name, value in flat.items()}
 
 
-def _other_gait(table: dict[str, float], params: robot.RobotParams, gait: Any) -> Any:
+def _other_gait(table: dict[str, Any], params: robot.RobotParams, gait: Any, allow_infeasible: bool) -> Any:
     """The gait with the values of a table [gait]."""
-    quantities = {name: type(gait).quantities.get(name, Quantity()) for name in tunables.gait_fields(gait)}
-    return tunables.other_gait(params, gait, checked.read_table("gait", table, quantities))
+    known = type(gait).quantities
+    fields: dict[str, checked.Field] = {
+        name: known.get(name, Quantity()) for name in tunables.gait_fields(gait)
+    }
+    new = checked.read_table("gait", table, {**fields, ALLOW_KEY: ALLOW})
+    allow_infeasible = new.pop(ALLOW_KEY, False) or allow_infeasible
+    return tunables.other_gait(params, gait, new, allow_infeasible=allow_infeasible)

@@ -9,7 +9,7 @@ from tyro.conf import arg
 
 from jaxbiped import batch
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import LANDINGS, gait_name, make_gait, simulation_options
+from jaxbiped.commands.choices import ALLOW_HELP, LANDINGS, gait_name, make_gait, simulation_options
 from jaxbiped.commands.common import InputError, draw, load_robot
 
 FIGURES = ("obstacles.png",)
@@ -33,6 +33,7 @@ class Obstacles:
     """Steps under whose footholds the pads are, 0 for the first; each has a pad of the same height."""
     steps: int = 8
     """Steps of the walk."""
+    allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     workers: Annotated[int | None, arg(help=batches.WORKERS_HELP)] = None
     scheduler: Annotated[str | None, arg(help=batches.SCHEDULER_HELP)] = None
     batch: Annotated[int | None, arg(help=batches.BATCH_HELP)] = None
@@ -66,7 +67,8 @@ def set_up(command: Obstacles) -> batch.Experiment:
     """The experiment."""
     params = load_robot("--robot", command.robot)
     heights = batches.numbers("--heights", command.heights, "m", DEEPEST, HIGHEST)
-    gait = make_gait(params, gait_name(command.gait, params), command.steps)
+    allow = command.allow_infeasible
+    gait = make_gait(params, gait_name(command.gait, params), command.steps, allow)
     if not command.step or len(set(command.step)) < len(command.step):
         raise InputError(f"--step: got {command.step}, allowed: one or more steps, each once")
     for step in command.step:
@@ -74,7 +76,7 @@ def set_up(command: Obstacles) -> batch.Experiment:
             raise InputError(
                 f"--step: got {step}, allowed: 0 to {command.steps - 1} with --steps {command.steps}"
             )
-    arms = batches.landing_arms(command.arm, LANDINGS, params, gait)
+    arms = batches.landing_arms(command.arm, LANDINGS, params, gait, allow)
     scenarios = pl.DataFrame({batch.height_column(step): heights for step in command.step})
     options = simulation_options(params, gait)
     return batches.experiment(params, arms, scenarios, options, seed=command.seed, batch=command.batch)

@@ -10,8 +10,17 @@ from tyro.conf import arg
 
 from jaxbiped import batch, sim
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import REFLEXES, clock_start, gait_name, make_gait, simulation_options
+from jaxbiped.commands.choices import (
+    ALLOW_HELP,
+    REFLEXES,
+    clock_start,
+    floor_friction,
+    gait_name,
+    make_gait,
+    simulation_options,
+)
 from jaxbiped.commands.common import InputError, draw, load_robot
+from jaxbiped.sim.scenario import RANGES
 
 FIGURES = ("payload_success.png", "payload_pitch.png")
 LATEST = 60.0
@@ -37,8 +46,11 @@ class Payload:
     arm: Annotated[tuple[str, ...], arg(help=ARM_HELP)] = ("off", "original", "modified")
     loads: Annotated[tuple[float, ...], arg(help=LOADS_HELP)] = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
     times: Annotated[tuple[float, ...], arg(help=TIMES_HELP)] = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4)
+    friction: float | None = None
+    """Of the floor. Default: 0.8; for elkahlout's cosine walk that of the thesis' experiments, which is slippery."""
     steps: int | None = None
     """Steps of the walk. Default: enough to complete two after the last recovery."""
+    allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     workers: Annotated[int | None, arg(help=batches.WORKERS_HELP)] = None
     scheduler: Annotated[str | None, arg(help=batches.SCHEDULER_HELP)] = None
     batch: Annotated[int | None, arg(help=batches.BATCH_HELP)] = None
@@ -74,19 +86,23 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
     loads = batches.numbers("--loads", command.loads, "kg", 0.0, float(params.total_mass))
     times = batches.numbers("--times", command.times, "s", 0.0, LATEST)
     name = gait_name(command.gait, params)
-    gait = make_gait(params, name, 1)
+    gait = make_gait(params, name, 1, allow_infeasible=True)  # only its clock is read
     since_liftoff = max(times) + clock_start(gait) - float(gait.timing.first_liftoff)
     last = max(0, math.floor(since_liftoff / float(gait.timing.T_c)))
     steps = last + 1 + STEPS_AFTER if command.steps is None else command.steps
-    gait = make_gait(params, name, steps)
+    gait = make_gait(params, name, steps, command.allow_infeasible)
     start = clock_start(gait)
     if max(times) + start > float(gait.duration):
         raise InputError(
             f"--times: got {max(times):g} s, allowed: up to {float(gait.duration) - start:.4g} s with {steps} steps"
         )
-    arms = batches.reflex_arms(command.arm, REFLEXES, params, gait)
+    arms = batches.reflex_arms(command.arm, REFLEXES, params, gait, command.allow_infeasible)
     options: sim.Options = simulation_options(params, gait)
-    scenarios = batch.grid(load_kg=loads, load_time_s=[start + time for time in times])
+    friction = floor_friction(params, gait) if command.friction is None else command.friction
+    (friction,) = batches.numbers(
+        "--friction", (friction,), "", RANGES["friction"].low, RANGES["friction"].high
+    )
+    scenarios = batch.grid(load_kg=loads, load_time_s=[start + time for time in times], friction=[friction])
     made = batches.experiment(params, arms, scenarios, options, seed=command.seed, batch=command.batch)
     return made, start
 

@@ -85,6 +85,7 @@ def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
     scenario: sim.Scenario = jax.tree.map(lambda leaf: leaf[0], batched)
     options = experiment.simulation
     heights = {step: row[batch.height_column(step)] for step in batch.steps_of(chosen.columns)}
+    end = row.get("load_end_s", batch.NEVER)  # of a table of version 0.1: no such input yet
     loaded = row["load_kg"] > 0.0 and row["load_time_s"] < batch.NEVER
     stages = ((controller.landing, "off"), (controller.payload, "off"))
     names = [off if stage is None else row["arm"] for stage, off in stages]
@@ -93,7 +94,7 @@ def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
         gait=controller.gait,
         gait_name="cosine" if isinstance(controller.gait, planner.CosineGait) else "polynomial",
         obstacles=[Obstacle(step, height) for step, height in heights.items() if height],
-        load=Load(row["load_kg"], row["load_time_s"]) if loaded else None,
+        load=Load(row["load_kg"], row["load_time_s"], end if end < batch.NEVER else None) if loaded else None,
         arms=Arms(landing=names[0], reflex=names[1]),
         controller=controller,
         scenario=scenario,

@@ -16,6 +16,7 @@ from jaxbiped.batch import Choice, Uniform
 from jaxbiped.checked import nearest
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
+    ALLOW_HELP,
     GAITS,
     LANDINGS,
     MODIFIED,
@@ -24,6 +25,7 @@ from jaxbiped.commands.choices import (
     REPAIRED,
     arm_tables,
     clock_start,
+    floor_friction,
     gait_name,
     landing_of,
     load_arm,
@@ -78,6 +80,7 @@ class Tune:
     what: Annotated[tuple[str, ...], arg(help=WHAT_HELP)] = ("payload",)
     arm: Annotated[str | None, arg(metavar="original|modified|paper|repaired|FILE")] = None
     """The arm to start from: its name, or its file (.toml). Default: modified for payloads, repaired for landing."""
+    allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     scenarios: int = 64
     """Random scenarios to tune on; as many others are held out."""
     batch: int = 16
@@ -165,7 +168,8 @@ def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
     """The problem, the scenarios held out, and the tables of the arm it starts from."""
     params = load_robot("--robot", command.robot)
     stages = _stages(command)
-    gait = make_gait(params, gait_name(command.gait, params), max(STEPS[s] for s in stages))
+    steps = max(STEPS[s] for s in stages)
+    gait = make_gait(params, gait_name(command.gait, params), steps, command.allow_infeasible)
     start, arm = _start(command, params, gait, stages)
     made = [
         batches.experiment(
@@ -188,7 +192,8 @@ def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tab
     """The arm it starts from: its tables and the controller."""
     if command.arm and command.arm.endswith(".toml"):
         path = Path(command.arm)
-        return arm_tables("--arm", path), load_arm("--arm", path, params, gait)
+        arm = load_arm("--arm", path, params, gait, command.allow_infeasible)
+        return arm_tables("--arm", path), arm
     defaults = {"payload": MODIFIED, "landing": REPAIRED}
     base = {stage: command.arm or defaults[stage] for stage in stages}
     for stage, name in base.items():
@@ -213,7 +218,8 @@ def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: in
         highest = min(HIGHEST, 0.8 * sim.swing_height(gait))
         heights = np.round(np.linspace(-highest, highest, 17), 4)
         ranges[batch.height_column(PAD_STEP)] = Choice(tuple(float(h) for h in heights if abs(h) > 1e-3))
-    return batch.draw(command.scenarios, seed, friction=Uniform(0.6, 1.0), **ranges)
+    floor = floor_friction(params, gait)
+    return batch.draw(command.scenarios, seed, friction=Uniform(0.75 * floor, 1.25 * floor), **ranges)
 
 
 def _trust(command: Tune, problem: tune.Problem) -> dict[str, Any]:

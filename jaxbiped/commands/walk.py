@@ -14,6 +14,7 @@ from jaxbiped import batch, planner, score, sim
 from jaxbiped.adapt.landing import nominal_T_mod
 from jaxbiped.batch import records, store
 from jaxbiped.commands import walk_words
+from jaxbiped.commands.choices import ALLOW_HELP, broken
 from jaxbiped.commands.common import (
     OVERWRITE_HELP,
     InputError,
@@ -82,6 +83,7 @@ class Walk:
     obstacle: Annotated[Words, UseAppendAction, arg(metavar="STEP:HEIGHT ...", help=OBSTACLE_HELP)] = ()
     payload: Annotated[Words, UseAppendAction, arg(metavar="MASS@TIME", help=PAYLOAD_HELP)] = ()
     arm: Annotated[Words, UseAppendAction, arg(metavar="|".join(ARMS) + " ...", help=ARM_HELP)] = ()
+    allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     out: Path = Path("runs/walk")
     """Folder of walk.json and the figures; made if it is missing."""
     overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
@@ -108,7 +110,8 @@ def run(command: Walk) -> dict[str, Any]:
     payload, arms = _flat("--payload", command.payload), _flat("--arm", command.arm)
     require_folder(out)
     with batch.waiting("planning"):
-        setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, arms)
+        allow = command.allow_infeasible
+        setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, arms, allow)
     claim(setup, out, command.overwrite)
     result = tell(setup, simulate(setup), out)
     print(f"{NUMBERS} and {len(result['files'])} figures in {out}")
@@ -178,6 +181,7 @@ def _result(told: Told) -> dict[str, Any]:
         load = {
             "mass_kg": setup.load.mass,
             "time_s": setup.load.time,
+            "end_s": setup.load.end,
             "thesis_time_s": _later(setup.load.time, start),
         }
     until = float(verdict.until)
@@ -186,6 +190,7 @@ def _result(told: Told) -> dict[str, Any]:
         "gait": setup.gait_name,
         "steps": setup.gait.timing.n_steps,
         "planned_s": round(float(setup.gait.duration), 4),
+        "constraints_broken": broken(setup.robot, setup.gait),
         "simulated_s": round(setup.duration, 4),
         "arm": asdict(setup.arms),
         "obstacles": [{"step": pad.step, "height_m": pad.height} for pad in setup.obstacles],
@@ -251,8 +256,9 @@ def _draw(figures: ModuleType, told: Told) -> dict[str, Any]:
     trace, nominal = figures.thin(full, DRAWN_EVERY), _thin(told.nominal, len(full.time))
     what = walk_words.heading(setup.robot.name, setup.gait_name, setup.gait.timing.n_steps)
     time, phase, measured = trace.time, trace.targets.phase, figures.measured_task(trace)
-    load_time = None if setup.load is None else setup.load.time
-    events = figures.payload_events(load_time, told.recoveries)
+    load = setup.load
+    load_time, load_end = (None, None) if load is None else (load.time, load.end)
+    events = figures.payload_events(load_time, told.recoveries, load_end)
     touched = {"touch": [touch.time for touch in told.touches]} if setup.load is None else events
     commands = trace.targets.position
     drawn = {

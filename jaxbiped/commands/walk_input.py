@@ -15,6 +15,7 @@ from jaxbiped.commands.choices import (
     ORIGINAL,
     PAPER,
     REPAIRED,
+    floor_friction,
     landing_of,
     load_arm,
     make_gait,
@@ -52,6 +53,8 @@ class Load:
     """[kg]"""
     time: float
     """[s]"""
+    end: float | None = None
+    """When it is taken off [s]; None for one that stays."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ def set_up(
     obstacles: Iterable[str],
     payload: Iterable[str],
     arms: Iterable[str],
+    allow_infeasible: bool = False,
 ) -> Setup:
     """Read the arguments of `jaxbiped walk`.
 
@@ -96,8 +100,8 @@ def set_up(
     """
     params = load_robot("--robot", robot_name)
     gait_name = name_of_gait(gait_name, params)
-    gait, words = make_gait(params, gait_name, steps), list(arms)
-    of_file = _of_file(words, params, gait)
+    gait, words = make_gait(params, gait_name, steps, allow_infeasible), list(arms)
+    of_file = _of_file(words, params, gait, allow_infeasible)
     gait = gait if of_file is None else of_file.gait
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
     if of_file is None:
@@ -120,7 +124,7 @@ def set_up(
         controller=controller,
         scenario=_scenario(params, gait, pads, load),
         options=options,
-        duration=score.watch_time(controller, load is not None),
+        duration=score.watch_time(controller, int(load is not None and load.time > 0.0)),
     )
 
 
@@ -188,13 +192,15 @@ def _load(words: Iterable[str], gait: Any, params: robot.RobotParams) -> Load | 
     return Load(mass, time)
 
 
-def _of_file(words: list[str], params: robot.RobotParams, gait: Any) -> adapt.Controller | None:
+def _of_file(
+    words: list[str], params: robot.RobotParams, gait: Any, allow_infeasible: bool
+) -> adapt.Controller | None:
     """The controller of an arm's file, with its own gait; None if the words name no file."""
     if not any(word.endswith(".toml") for word in words):
         return None
     if len(words) > 1:
         raise InputError(f"--arm: got {' '.join(words)}, allowed: a file (.toml) by itself")
-    return load_arm("--arm", Path(words[0]), params, gait)
+    return load_arm("--arm", Path(words[0]), params, gait, allow_infeasible)
 
 
 def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
@@ -222,7 +228,7 @@ def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
 
 
 def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
-    scenario = sim.Scenario.flat(rectangles=max(8, len(pads)))
+    scenario = sim.Scenario.flat(rectangles=max(8, len(pads))).with_friction(floor_friction(params, gait))
     for pad in pads:
         scenario = scenario.with_rectangle(*pad_under(params, gait, pad.step), pad.height)
     _refuse_overlaps(pads, scenario.terrain)

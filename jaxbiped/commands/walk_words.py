@@ -20,7 +20,7 @@ def heading(robot: str, gait: str, steps: int) -> str:
 
 def lines(result: dict[str, Any]) -> list[str]:
     """What happened, for a person."""
-    return [_what(result), *_touches(result), *_reflexes(result), *_verdict(result)]
+    return [_what(result), *_plan(result), *_touches(result), *_reflexes(result), *_verdict(result)]
 
 
 def _what(r: dict[str, Any]) -> str:
@@ -29,9 +29,25 @@ def _what(r: dict[str, Any]) -> str:
         pads = ", ".join(f"{100 * o['height_m']:+g} cm under step {o['step']}" for o in r["obstacles"])
         parts.append(f"obstacles {pads}")
     if r["payload"]:
-        parts.append(f"{r['payload']['mass_kg']:g} kg at {_time(r, r['payload']['time_s'])}")
+        parts.append(_load(r, r["payload"]))
     parts.append(f"landing adaptation {r['arm']['landing']}, payload reflex {r['arm']['reflex']}")
     return "; ".join(parts)
+
+
+def _load(r: dict[str, Any], load: dict[str, Any]) -> str:
+    when = f"at {_time(r, load['time_s'])}" if load["time_s"] > 0.0 else "carried from the start"
+    off = "" if load.get("end_s") is None else f", taken off at {_time(r, load['end_s'])}"
+    return f"{load['mass_kg']:g} kg {when}{off}"
+
+
+def _weight_changes(r: dict[str, Any]) -> bool:
+    """Whether a load is put on, or taken off: not one that is carried all the time."""
+    load = r["payload"]
+    return bool(load) and (load["time_s"] > 0.0 or load.get("end_s") is not None)
+
+
+def _plan(r: dict[str, Any]) -> list[str]:
+    return [f"the plan breaks a constraint: {words}" for words in r["constraints_broken"]]
 
 
 def _time(r: dict[str, Any], time: float) -> str:
@@ -56,7 +72,8 @@ def _touch(t: dict[str, Any]) -> str:
 
 def _reflexes(r: dict[str, Any]) -> list[str]:
     if not r["reflexes"]:
-        return ["no reflex: the load was not felt"] if r["payload"] and r["arm"]["reflex"] != "off" else []
+        felt_nothing = _weight_changes(r) and r["arm"]["reflex"] != "off"
+        return ["no reflex: the load was not felt"] if felt_nothing else []
     return [_reflex(r, i, reflex) for i, reflex in enumerate(r["reflexes"])]
 
 
@@ -80,12 +97,14 @@ def _verdict(r: dict[str, Any]) -> list[str]:
 def _judged(r: dict[str, Any]) -> str:
     until = r["had_to_stand_until_s"]
     if r["success"]:
-        rule = "two whole steps after load and recovery" if r["payload"] else "the walk is finished"
+        rule = "two whole steps after load and recovery" if _weight_changes(r) else "the walk is finished"
         later = f"; {r['status']} at {r['end_time_s']:.2f} s, after that" if r["status"] != "ok" else ""
         return f"success: {rule}, at {until:.2f} s{later}"
     if r["status"] == "unfinished":
         if r["reflexes"] and r["reflexes"][-1]["resumed_s"] is None:
             return f"unfinished: still in reflex {len(r['reflexes'])} when the simulation ended"
+        if not _weight_changes(r):
+            return "unfinished: the simulation ended before the walk"
         return "unfinished: the walk had no two whole steps left after load and recovery"
     so_far = "before it walked on" if until is None else f"had to stand until {until:.2f} s"
     return f"failure: {r['status']} at {r['end_time_s']:.2f} s, {so_far}"

@@ -2,10 +2,11 @@
 
 from jaxbiped.planner import polynomial, support
 from jaxbiped.planner.checks import GaitError, is_concrete
+from jaxbiped.planner.constraints import FRICTION, MIN_KNEE, Violation, violations
 from jaxbiped.planner.cosine_gait import CosineGait, CosineParams
 from jaxbiped.planner.feasibility import Feasibility, feasibility, sample_times
 from jaxbiped.planner.polynomial_gait import PolynomialGait, PolynomialParams, StartStop
-from jaxbiped.planner.presets import cosine_params, polynomial_params
+from jaxbiped.planner.presets import cosine_params, known_infeasible, polynomial_params
 from jaxbiped.planner.targets import (
     DOUBLE_SUPPORT,
     PLANNED_STEP,
@@ -22,6 +23,8 @@ from jaxbiped.planner.targets import (
 
 __all__ = [
     "DOUBLE_SUPPORT",
+    "FRICTION",
+    "MIN_KNEE",
     "PLANNED_STEP",
     "RECOVERY_STEP",
     "REFLEX_STEP",
@@ -38,12 +41,15 @@ __all__ = [
     "Targets",
     "TaskSpace",
     "Timing",
+    "Violation",
     "at",
     "cosine_params",
     "feasibility",
     "is_concrete",
+    "known_infeasible",
     "polynomial",
     "polynomial_params",
     "sample_times",
     "support",
+    "violations",
 ]

@@ -16,7 +16,8 @@ from jaxtyping import Array, Float
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps, require_within
+from jaxbiped.planner.checks import is_concrete, require, require_steps, require_within
+from jaxbiped.planner.constraints import FRICTION, check_arguments, require_walkable
 from jaxbiped.planner.polynomial import Polynomial, as_scalar, quintic
 from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
@@ -91,16 +92,34 @@ class CosineGait(eqx.Module):
 
     @classmethod
     def preset(
-        cls, robot: RobotParams, n_steps: SupportsIndex = 8, first_swing: SupportsIndex = LEFT
+        cls,
+        robot: RobotParams,
+        n_steps: SupportsIndex = 8,
+        first_swing: SupportsIndex = LEFT,
+        *,
+        friction: float = FRICTION,
+        allow_infeasible: bool = False,
     ) -> "CosineGait":
         """Plan a walk with the preset parameters of a known robot, or of one that walks like it.
 
-        Raises:
-            GaitError: if neither its name nor its `walks_like` is that of a preset.
-        """
-        from jaxbiped.planner.presets import cosine_params
+        A preset that is known to break a constraint (`presets.known_infeasible` says which and why) is planned
+        nevertheless; `violations` says by how much.
 
-        return cls.make(robot, cosine_params(robot), n_steps, first_swing)
+        Args:
+            robot: that walks.
+            n_steps: number of steps.
+            first_swing: the foot that swings first, 0 left or 1 right.
+            friction: coefficient of the ground.
+            allow_infeasible: whether to plan what breaks a constraint, too.
+
+        Raises:
+            GaitError: if neither its name nor its `walks_like` is that of a preset, or as `make` says.
+        """
+        from jaxbiped.planner.presets import cosine_params, known_infeasible
+
+        allow = allow_infeasible or bool(known_infeasible(cls, robot))
+        params = cosine_params(robot)
+        return cls.make(robot, params, n_steps, first_swing, friction=friction, allow_infeasible=allow)
 
     @classmethod
     def make(
@@ -109,19 +128,35 @@ class CosineGait(eqx.Module):
         params: CosineParams,
         n_steps: SupportsIndex,
         first_swing: SupportsIndex = LEFT,
+        *,
+        friction: float = FRICTION,
+        allow_infeasible: bool = False,
     ) -> "CosineGait":
-        """Plan a walk.
+        """Plan a walk that breaks no constraint of khadiv section 2.2.
+
+        The ZMP stays inside the support polygon, the friction that is needed below the ground's, joint torques and
+        speeds within the robot's limits, knees bent by `MIN_KNEE` or more.
+
+        Args:
+            robot: that walks.
+            params: of the gait.
+            n_steps: number of steps.
+            first_swing: the foot that swings first, 0 left or 1 right.
+            friction: coefficient of the ground.
+            allow_infeasible: whether to plan what breaks a constraint, too.
 
         Raises:
-            GaitError: if the parameters cannot be walked by this robot (only where their values are known).
+            GaitError: if the parameters cannot be walked by this robot: out of bounds, a foot out of reach, or a
+                constraint broken (only where their values are known: what is traced is not judged).
         """
         n_steps, first_swing = require_steps(n_steps, first_swing)
-        known = is_concrete(params, robot)
+        friction, allow_infeasible = check_arguments(friction, allow_infeasible)
+        known = is_concrete(params, robot, friction)
         if known:
             _require_sane(robot, params)
         gait = _plan(params, n_steps, first_swing)
         if known:
-            require_reach(robot, gait)
+            require_walkable(robot, gait, friction, allow_infeasible)
         return gait
 
     @property

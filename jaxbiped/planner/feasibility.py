@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxbiped import runtime
 from jaxbiped.kinematics import Motion, MotionState, Wrench, body, dynamics, joint_angles
 from jaxbiped.planner import support
-from jaxbiped.planner.targets import DOUBLE_SUPPORT, Gait, Phase, TaskSpace
+from jaxbiped.planner.targets import DOUBLE_SUPPORT, Gait, Phase, Targets, TaskSpace
 from jaxbiped.robot import KNEE, RobotParams
 
 
@@ -93,7 +93,23 @@ def share_between_feet(robot: RobotParams, task: TaskSpace, phase: Phase, wrench
     return Wrench(force, moment)
 
 
-def instant(robot: RobotParams, gait: Gait, t: Float[Array, ""]) -> Feasibility:
+class Frozen(eqx.Module):
+    """The motion through some targets: at time 0 it has their position, velocity and acceleration."""
+
+    targets: Targets
+    """At one instant."""
+
+    def task(self, t: Float[Array, ""]) -> TaskSpace:
+        """Soles and pelvis, t [s] later."""
+        orders = (self.targets.position, self.targets.velocity, self.targets.acceleration)
+        return jax.tree.map(lambda p, v, a: p + v * t + 0.5 * a * t * t, *orders)
+
+    def phase(self, t: Float[Array, ""]) -> Phase:
+        """The phase of the targets."""
+        return self.targets.phase
+
+
+def instant(robot: RobotParams, gait: Gait | Frozen, t: Float[Array, ""]) -> Feasibility:
     """What a gait takes at time t [s]."""
     state: MotionState = dynamics.evaluate(robot, motion_of(robot, gait.task), t)
     task, phase, wrench = gait.task(t), gait.phase(t), state.ground_wrench
@@ -122,6 +138,15 @@ def instant(robot: RobotParams, gait: Gait, t: Float[Array, ""]) -> Feasibility:
 def feasibility(robot: RobotParams, gait: Any, times: Float[Array, " n"]) -> Feasibility:
     """What a gait takes at many times [s], as a leading axis. Differentiable in robot and gait."""
     return jax.vmap(lambda t: instant(robot, gait, t))(times)
+
+
+@runtime.jit
+def of_targets(robot: RobotParams, targets: Targets) -> Feasibility:
+    """What a gait takes at the instants of its targets, which have a leading axis: compiled once for all gaits.
+
+    The same as `feasibility`, but that `time` is 0.
+    """
+    return jax.vmap(lambda one: instant(robot, Frozen(one), jnp.zeros_like(one.time)))(targets)
 
 
 def sample_times(gait: Gait, n: int = 1000) -> Float[Array, " n"]:

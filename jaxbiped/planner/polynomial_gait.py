@@ -19,7 +19,8 @@ from jaxtyping import Array, Float
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import is_concrete, require, require_reach, require_steps, require_within
+from jaxbiped.planner.checks import is_concrete, require, require_steps, require_within
+from jaxbiped.planner.constraints import FRICTION, check_arguments, require_walkable
 from jaxbiped.planner.polynomial import (
     PiecewisePolynomial,
     Polynomial,
@@ -41,6 +42,10 @@ _DURATION = Quantity("s", 0.0, 60.0, above=True)
 _OFFSET = Quantity("m", -1.0, 1.0)
 _REST = Quantity("s", 0.0, 600.0, above=True)
 _HEIGHT = Quantity("m", 0.0, 2.0, above=True)
+_START_STOP = (
+    *("x_rest_start", "x_s_first", "x_e_first", "x_s_second"),
+    *("x_e_penultimate", "x_s_last", "x_e_last", "x_rest_end"),
+)
 QUANTITIES = {
     "D_s": Quantity("m", 0.0, 2.0),
     "T_s": _DURATION,
@@ -52,8 +57,10 @@ QUANTITIES = {
     "L_p": Quantity("m", 0.0, 2.0, above=True),
     "T_ini": _REST,
     "T_end": _REST,
+    **{f"start_stop.{name}": _OFFSET for name in _START_STOP},
+    **{f"start_stop.{name}": Quantity("m/s", -5.0, 5.0) for name in ("v_first", "v_last")},
 }
-"""What the parameters may be."""
+"""What the parameters may be, by their dotted names."""
 
 
 class StartStop(eqx.Module):
@@ -211,16 +218,34 @@ class PolynomialGait(eqx.Module):
 
     @classmethod
     def preset(
-        cls, robot: RobotParams, n_steps: SupportsIndex = 8, first_swing: SupportsIndex = LEFT
+        cls,
+        robot: RobotParams,
+        n_steps: SupportsIndex = 8,
+        first_swing: SupportsIndex = LEFT,
+        *,
+        friction: float = FRICTION,
+        allow_infeasible: bool = False,
     ) -> "PolynomialGait":
         """Plan a walk with the preset parameters of a known robot, or of one that walks like it.
 
-        Raises:
-            GaitError: if neither its name nor its `walks_like` is that of a preset.
-        """
-        from jaxbiped.planner.presets import polynomial_params
+        A preset that is known to break a constraint (`presets.known_infeasible` says which and why) is planned
+        nevertheless; `violations` says by how much.
 
-        return cls.make(robot, polynomial_params(robot), n_steps, first_swing)
+        Args:
+            robot: that walks.
+            n_steps: number of steps.
+            first_swing: the foot that swings first, 0 left or 1 right.
+            friction: coefficient of the ground.
+            allow_infeasible: whether to plan what breaks a constraint, too.
+
+        Raises:
+            GaitError: if neither its name nor its `walks_like` is that of a preset, or as `make` says.
+        """
+        from jaxbiped.planner.presets import known_infeasible, polynomial_params
+
+        allow = allow_infeasible or bool(known_infeasible(cls, robot))
+        params = polynomial_params(robot)
+        return cls.make(robot, params, n_steps, first_swing, friction=friction, allow_infeasible=allow)
 
     @classmethod
     def make(
@@ -229,19 +254,35 @@ class PolynomialGait(eqx.Module):
         params: PolynomialParams,
         n_steps: SupportsIndex,
         first_swing: SupportsIndex = LEFT,
+        *,
+        friction: float = FRICTION,
+        allow_infeasible: bool = False,
     ) -> "PolynomialGait":
-        """Plan a walk.
+        """Plan a walk that breaks no constraint of khadiv section 2.2.
+
+        The ZMP stays inside the support polygon, the friction that is needed below the ground's, joint torques and
+        speeds within the robot's limits, knees bent by `MIN_KNEE` or more.
+
+        Args:
+            robot: that walks.
+            params: of the gait.
+            n_steps: number of steps.
+            first_swing: the foot that swings first, 0 left or 1 right.
+            friction: coefficient of the ground.
+            allow_infeasible: whether to plan what breaks a constraint, too.
 
         Raises:
-            GaitError: if the parameters cannot be walked by this robot (only where their values are known).
+            GaitError: if the parameters cannot be walked by this robot: out of bounds, a foot out of reach, or a
+                constraint broken (only where their values are known: what is traced is not judged).
         """
         n_steps, first_swing = require_steps(n_steps, first_swing)
-        known = is_concrete(params, robot)
+        friction, allow_infeasible = check_arguments(friction, allow_infeasible)
+        known = is_concrete(params, robot, friction)
         if known:
             _require_sane(robot, params)
         gait = _plan(params, n_steps, first_swing)
         if known:
-            require_reach(robot, gait)
+            require_walkable(robot, gait, friction, allow_infeasible)
         return gait
 
     @property
@@ -281,9 +322,6 @@ class PolynomialGait(eqx.Module):
 
 def _require_sane(robot: RobotParams, p: PolynomialParams) -> None:
     require_within(p, QUANTITIES)
-    speed = Quantity("m/s", -5.0, 5.0)
-    ends = {name: speed if name.startswith("v_") else _OFFSET for name in StartStop.__dataclass_fields__}
-    require_within(p.start_stop, ends, "start_stop.")
     for name in ("T_ini", "T_end"):
         least = 0.5 * p.T_d
         require(name, getattr(p, name), f">= T_d / 2 = {float(least):g} s", getattr(p, name) >= least)

@@ -3,12 +3,14 @@
 surena3, polynomial: the paper does not state its numbers. D_s, T_s, T_d, H_max, z_max, z_min are chosen; x_s,
 x_e, y_d, y_m and the start and stop were optimised for the ZMP margin, as section 2.2 of the paper proposes.
 elkahlout, polynomial: neither source has it; chosen and optimised in the same way.
-elkahlout, cosine: section 3.2 of the thesis states them all, but for the start from and stop to rest.
+elkahlout, cosine: section 3.2 of the thesis states them all, but for the start from and stop to rest. The ZMP of this
+one leaves the support polygon, see `known_infeasible`; no other preset breaks a constraint.
 surena3, cosine: neither source has it; w and x_ref were optimised for the ZMP margin, the rest is chosen.
+`python sweeps/plan_presets.py` optimises them all again and says what every preset takes of its robot.
 """
 
 from jaxbiped.planner.checks import GaitError
-from jaxbiped.planner.cosine_gait import CosineParams
+from jaxbiped.planner.cosine_gait import CosineGait, CosineParams
 from jaxbiped.planner.polynomial_gait import PolynomialParams, StartStop
 from jaxbiped.robot import RobotParams
 
@@ -29,6 +31,17 @@ def cosine_params(robot: str | RobotParams) -> CosineParams:
         GaitError: if there is none.
     """
     return _of(_COSINE, robot, "CosineGait.make(robot, CosineParams(...), n_steps)")()
+
+
+def known_infeasible(gait: type, robot: str | RobotParams) -> str:
+    """Say why the preset of a robot breaks a constraint although it is one; empty if it is not known to.
+
+    Args:
+        gait: `PolynomialGait` or `CosineGait`.
+        robot: the robot that walks, or its name.
+    """
+    name = robot if isinstance(robot, str) else robot.preset_name
+    return _INFEASIBLE.get((gait, name), "")
 
 
 def _of(table: dict, robot: str | RobotParams, otherwise: str):
@@ -147,3 +160,10 @@ def _elkahlout_cosine() -> CosineParams:
 
 _POLYNOMIAL = {"surena3": _surena3_polynomial, "elkahlout": _elkahlout_polynomial}
 _COSINE = {"elkahlout": _elkahlout_cosine, "surena3": _surena3_cosine}
+_INFEASIBLE = {
+    (
+        CosineGait,
+        "elkahlout",
+    ): "these are the thesis' own numbers, which do not fit the sole that its Table 4.1 asks for: "
+    "the ZMP passes the toes at the end of every single support"
+}

@@ -109,7 +109,8 @@ def frontier_figure(
     """Draw how far up an input can go (`summary.frontier`) over another: a panel per level, a curve per arm.
 
     Every point stands at its own values; of curves that coincide, the ones behind are wider and have larger markers.
-    Where there is no limit, since the first value falls short already, a cross stands at the panel's lower edge.
+    Where there is no limit, since the first value falls short already, a cross stands at the panel's lower edge. Bars
+    are the limits' intervals; an end that is open runs to the panel's edge, and where both are, there is no bar.
 
     Args:
         limits: of `summary.frontier` with the same `what` and `by`.
@@ -127,11 +128,14 @@ def frontier_figure(
             for way in limits["direction"].unique(maintain_order=True):
                 line = limits.filter(arm=arm, level=level, direction=way).sort(by)
                 _draw_limit(axes, line, what, by, _arm_style(i, len(names)))
-        axes.set_title(f"success rate of {100 * level:.3g} % and more", fontsize=10, color=INK, loc="left")
+        heading = f"success rate of {100 * level:.3g} % and more; bars: 95 % interval of the limit"
+        axes.set_title(heading, fontsize=10, color=INK, loc="left")
         axes.set_ylabel(f"limit:\n{quantity.label}")
         low, high = axes.get_ylim()
         low, room = min(low, 0.0), 0.06 * (high - min(low, 0.0))
         axes.set_ylim(low - 2.0 * room, high + room)
+        for i, arm in enumerate(names):
+            _draw_limit_bars(axes, limits.filter(arm=arm, level=level), what, by, _arm_style(i, len(names)))
     if len(panels):
         panels[-1].set_xlabel(_clocked(by, offset_s))
     handles = [_arm_handle(arm, i, len(names)) for i, arm in enumerate(names)]
@@ -421,6 +425,21 @@ def _draw_limit(axes: Axes, line: pl.DataFrame, what: str, by: str, style: Mappi
     axes.plot(places[beyond & ~nothing], limit[beyond & ~nothing], **{**points, "marker": "^"})
     edge = np.full(nothing.sum(), _AT_THE_EDGE)
     axes.plot(places[nothing], edge, transform=axes.get_xaxis_transform(), **{**points, "marker": "x"})
+
+
+def _draw_limit_bars(axes: Axes, line: pl.DataFrame, what: str, by: str, style: Mapping[str, Any]) -> None:
+    """From where a limit is sure to reach to where it is sure not to."""
+    line = line.filter(pl.col("low").is_not_null() | pl.col("high").is_not_null())
+    bottom, top = axes.get_ylim()
+    downward = (line["direction"] == summary.DOWN).to_numpy()
+    ends = [
+        shown(what).factor * line[end].cast(pl.Float64).fill_null(math.nan).to_numpy()
+        for end in ("low", "high")
+    ]
+    open_ends = np.where(downward, top, bottom), np.where(downward, bottom, top)
+    low, high = (np.where(np.isnan(end), edge, end) for end, edge in zip(ends, open_ends, strict=True))
+    places = shown(by).factor * line[by].cast(pl.Float64).to_numpy()
+    axes.vlines(places, low, high, color=style["color"], lw=0.6 * style["lw"], alpha=0.4, zorder=1)
 
 
 def _draw_causes(axes: Axes, rows: pl.DataFrame, color: str) -> None:

@@ -214,14 +214,36 @@ def _loads(experiment: Experiment, table: pl.DataFrame, start: float) -> Section
             "Success frontier: up to which load at least 95 % and 50 % of the walks succeed.",
         ),
     )
-    return Section("Loads", tuple(words), tuple(texts), pictures)
+    said, listed = _limits(limits, "load_kg")
+    return Section("Loads", (*words, *said), (*texts, *listed), pictures)
+
+
+def _limits(limits: pl.DataFrame, what: str) -> tuple[list[str], list[pl.DataFrame]]:
+    """Limits of `summary.frontier` with their intervals, in words and as a table; nothing where nothing is sure."""
+    told = limits.filter(pl.col("low").is_not_null() | pl.col("high").is_not_null())
+    if told.is_empty():
+        return ["Too few walks at each value to say how sure the limits are."], []
+    listed = told.head(LISTED)
+    words = [
+        "Limits: the largest value up to which the success rate stays at the level. By Wilson's 95 % intervals of the "
+        "rates it is sure to reach the one below “sure”, and sure not to reach the one below “too much”; a dash: none "
+        "of those tested."
+    ]
+    if told.height > listed.height:
+        words.append(_first(listed.height, told.height, "limits"))
+    names = {what: "limit", "low": "sure", "high": "too much"}
+    columns = [
+        pl.Series(name, [quantities.with_unit(v, what) for v in listed[column]], pl.String)
+        for column, name in names.items()
+    ]
+    return words, [listed.drop(*names, "beyond").with_columns(columns)]
 
 
 def _heights(table: pl.DataFrame, name: str) -> Section:
     one = grids.cells_figure(table, name, "Success and peak foot force")
-    return Section(
-        f"Heights: {grids.shown(name).label}", (), (), (Picture(one, "Success with Wilson intervals."),)
-    )
+    words, limits = _limits(summary.frontier(table, name, None, signed=True), name)
+    picture = Picture(one, "Success with Wilson intervals.")
+    return Section(f"Heights: {grids.shown(name).label}", tuple(words), tuple(limits), (picture,))
 
 
 def _causes(table: pl.DataFrame) -> Section:

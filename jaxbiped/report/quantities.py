@@ -14,6 +14,7 @@ MOST_SHOWN = 1e9
 """Magnitude from which a number is only said to be larger."""
 _WORDS = {
     "load_time_s": "time of the load",
+    "load_end_s": "end of the load",
     "sinkage_m": "sinkage of the ground",
     "damping_s_per_m": "damping of the ground",
     "delta_z_m": "gap of the switches",

@@ -31,11 +31,13 @@ LOAD, TRIGGER, STAGES = "load", "trigger", "settled, shifted, recovered, walks o
 """Events of a walk with a payload, in the order of their styles."""
 
 
-def payload_events(load_time: float | None, recoveries: Sequence[Recovery]) -> dict[str, list[float]]:
-    """Times to mark in a figure [s]."""
+def payload_events(
+    load_time: float | None, recoveries: Sequence[Recovery], load_end: float | None = None
+) -> dict[str, list[float]]:
+    """Times to mark in a figure [s]: the load put on and taken off, reflexes and their stages."""
     stages = [t for r in recoveries for t in (r.settled, r.shifted, r.recovered, r.resumed) if t is not None]
     return {
-        LOAD: [] if load_time is None else [load_time],
+        LOAD: [time for time in (load_time, load_end) if time is not None],
         TRIGGER: [r.triggered for r in recoveries],
         STAGES: stages,
     }

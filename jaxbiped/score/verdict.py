@@ -2,7 +2,9 @@
 
 khadiv: the robot finishes its walk without a fall.
 elkahlout (section 4.2): the robot does not fall in the step in which it is loaded, and completes two whole steps after
-its recovery; if no reflex came, two whole steps after the step of the loading.
+its recovery; if no reflex came, two whole steps after the step of the loading. Taking a load off is a loading too: a
+sudden change of weight. Of two in a walk the last one counts, whether or not the robot had recovered from the first.
+A load that is carried from the start (time 0) is own weight: putting it on is no event, taking it off is.
 
 A step is a single support and the double support after it. Rules are met in the time of the plan, which stands still
 while a reflex lasts: a robot that falls later than that has succeeded all the same, and its status says that it fell.
@@ -20,6 +22,7 @@ from jaxbiped.adapt import Controller, ControllerState
 from jaxbiped.adapt.payload import WALK
 from jaxbiped.planner import Gait
 from jaxbiped.sim import statistics
+from jaxbiped.sim.scenario import Payload
 
 Scalar = Float[Array, ""]
 
@@ -37,7 +40,7 @@ class Verdict(eqx.Module):
     """What is said of one walk."""
 
     success: Bool[Array, ""]
-    """Whether the robot met the rule that applies: elkahlout's after a load, else khadiv's."""
+    """Whether the robot met the rule that applies: elkahlout's after a sudden change of weight, else khadiv's."""
     finished: Bool[Array, ""]
     """Whether it met khadiv's rule."""
     status: Int[Array, ""]
@@ -53,20 +56,22 @@ class Verdict(eqx.Module):
     """Steps that ended without a touch; 0 without landing adaptation."""
 
 
-def watch_time(controller: Controller, loaded: bool) -> float:
+def watch_time(controller: Controller, changes: int) -> float:
     """How long a walk is to be simulated for its verdict [s].
 
     Args:
         controller: with the gait and the stages of the walk.
-        loaded: whether a load is put on.
+        changes: how often the weight changes suddenly.
     """
-    return float(controller.gait.duration) + STANDS_FOR + (controller.longest_delay() if loaded else 0.0)
+    if controller.payload is not None and not controller.payload.params.starts_again:
+        changes = min(changes, 1)
+    return float(controller.gait.duration) + STANDS_FOR + changes * controller.longest_delay()
 
 
 def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
     """Judge one walk by its statistics and the last state of its controller; pure, to be mapped over many.
 
-    Of several reflexes the last one counts. A load of 0 kg, or one that comes after the simulated time, is none.
+    Of several reflexes the last one counts. A load of 0 kg is none, nor is a change after the simulated time.
 
     Args:
         walk: result of a roll-out of this gait in this scenario.
@@ -74,15 +79,14 @@ def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
         scenario: what happened.
     """
     stats, controller = jax.tree.map(jnp.asarray, (walk.statistics, walk.controller))
-    loading = scenario.payload
+    changed, is_changed = _last_change(scenario.payload, stats.end_time)
     time, plan_time, walking = _progress(controller, stats.end_time)
     delay = time - plan_time
-    first = _first_whole_step(controller, gait, loading.time, delay)
+    first = _first_whole_step(controller, gait, changed, delay)
     last = first + WHOLE_STEPS
     end = jnp.minimum(gait.timing.liftoff(last), gait.duration)
-    has_load = (loading.mass > 0.0) & (loading.time < stats.end_time)
-    goal = jnp.where(has_load, end, gait.duration)
-    can = walking & (~has_load | (last <= gait.timing.n_steps))
+    goal = jnp.where(is_changed, end, gait.duration)
+    can = walking & (~is_changed | (last <= gait.timing.n_steps))
     success = can & (plan_time >= goal - _SLACK)
     failed = stats.status != statistics.OK
     status = jnp.where(failed, stats.status, jnp.where(success, statistics.OK, UNFINISHED))
@@ -100,6 +104,12 @@ def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
     )
 
 
+def _last_change(load: Payload, end_time: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
+    """When the weight changed suddenly for the last time before the end [s], and whether it did."""
+    time = jnp.where(load.end < end_time, load.end, load.time)
+    return time, (load.mass > 0.0) & (time > 0.0) & (time < end_time)
+
+
 def _progress(controller: ControllerState | None, end_time: Scalar) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
     """Time, time in the plan, and whether the plan was being walked, at the controller's last tick."""
     if controller is None:
@@ -110,15 +120,15 @@ def _progress(controller: ControllerState | None, end_time: Scalar) -> tuple[Sca
 
 
 def _first_whole_step(
-    controller: ControllerState | None, gait: Gait, load_time: Scalar, delay: Any
+    controller: ControllerState | None, gait: Gait, change_time: Scalar, delay: Any
 ) -> Int[Array, ""]:
-    """Number of the first step that begins after the recovery and after the step of the loading."""
+    """Number of the first step that begins after the recovery and after the step in which the weight changed."""
     timing = gait.timing
-    loaded_in = jnp.floor((load_time - delay - timing.first_liftoff) / timing.T_c)
+    loaded_in = jnp.floor((change_time - delay - timing.first_liftoff) / timing.T_c)
     after_load = jnp.clip(loaded_in + 1, 0, timing.n_steps).astype(jnp.int32)
     if controller is None or controller.payload is None:
         return after_load
     reflex = controller.payload
     after_reflex = jnp.where(reflex.reflexes > 0, reflex.next_step, 0)
-    before_reflex = (reflex.reflexes > 0) & (load_time < reflex.resume_time)
+    before_reflex = (reflex.reflexes > 0) & (change_time < reflex.resume_time)
     return jnp.where(before_reflex, after_reflex, jnp.maximum(after_load, after_reflex))

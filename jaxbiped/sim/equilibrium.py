@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import TaskSpace
 from jaxbiped.sim import ground, mjx_adapter
-from jaxbiped.sim.plant import Plant, body_motion, contact_force
+from jaxbiped.sim.plant import Plant, contact_force, motion_at_rest
 from jaxbiped.sim.servo import Reference
 
 ITERATIONS = 12
@@ -27,11 +27,10 @@ def standing(plant: Plant, task: TaskSpace, reference: Reference) -> Float[Array
     sunk = task.pelvis.at[2].add(-scenario.ground.sinkage)
     upright = jnp.array([1.0, 0.0, 0.0, 0.0], sunk.dtype)
     start = jnp.concatenate([sunk, upright, angle.reshape(-1)])
-    rest = jnp.zeros(mjx_adapter.NV, sunk.dtype)
     stiffness = ground.stiffness(robot, scenario.ground)
 
     def improve(qpos: Float[Array, "19"], _: None) -> tuple[Float[Array, "19"], None]:
-        body = body_motion(plant, qpos, rest, jnp.zeros((), sunk.dtype), 1e-3)
+        body = motion_at_rest(plant, qpos)
         touch = ground.contact(robot, scenario.ground, scenario.terrain, body)
         torque = plant.servo.kp * (reference.angle - qpos[7:].reshape(2, 6)) + reference.feed_forward
         force = contact_force(body, touch) - body.bias

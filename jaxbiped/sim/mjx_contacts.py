@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxbiped.planner import is_concrete
 from jaxbiped.robot import RobotParams
-from jaxbiped.sim import ground, mjx_adapter, sensors, statistics
+from jaxbiped.sim import ground, mjx_adapter, plant, sensors, statistics
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import LEFT_FOOT, BodyMotion
 from jaxbiped.sim.model import build_spec
@@ -121,8 +121,7 @@ def _push(world: Plant, time: Float[Array, ""], dt: float) -> Float[Array, "3"]:
 
 def _model_now(world: Plant, time: Float[Array, ""], dt: float) -> Any:
     """The model with this tick's masses, and the scenario's gains, friction, stiffness and boxes."""
-    loaded = jnp.clip((time + dt - world.scenario.payload.time) / dt, 0.0, 1.0)
-    masses = [b + loaded * (a - b) for b, a in zip(world.before, world.after, strict=True)]
+    masses = plant.masses(world, world.scenario.payload.share(time, dt))
     model = mjx_adapter.with_masses(world.model, *masses)
     terrain, servo = world.scenario.terrain, world.servo
     kp, kv = servo.kp.reshape(-1), servo.kv.reshape(-1)

@@ -17,6 +17,11 @@ from jaxbiped.sim.servo import Reference
 EXACT, THESIS = "exact", "thesis"
 PAYLOAD_MODELS = (EXACT, THESIS)
 
+STOP_STIFFNESS = 10.0
+"""Of the spring at either end of a joint's range, over the position gain of its servo."""
+STOP_DAMPING = 10.0
+"""Of that spring, a in tau = k d (1 + a d') [s/rad]."""
+
 BodyMasses = tuple[Float[Array, "15"], Float[Array, "15 3"], Float[Array, "15 3"]]
 
 
@@ -91,10 +96,24 @@ def _attach_thesis(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
 def body_motion(
     plant: Plant, qpos: Float[Array, "19"], qvel: Float[Array, "18"], time: Float[Array, ""], dt: float
 ) -> BodyMotion:
-    """Kinematics and dynamics at the masses of this tick; a load attached inside it counts for the rest of it."""
-    loaded = jnp.clip((time + dt - plant.scenario.payload.time) / dt, 0.0, 1.0)
-    now = [b + loaded * (a - b) for b, a in zip(plant.before, plant.after, strict=True)]
-    return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *now), qpos, qvel)
+    """Kinematics and dynamics at the masses of this tick; a load counts for the part of it in which it is attached."""
+    return _motion(plant, qpos, qvel, plant.scenario.payload.share(time, dt))
+
+
+def motion_at_rest(plant: Plant, qpos: Float[Array, "19"]) -> BodyMotion:
+    """The same before the walk, standing still: with a load that is carried from the start, without any other."""
+    carried = plant.scenario.payload.is_carried.astype(qpos.dtype)
+    return _motion(plant, qpos, jnp.zeros(mjx_adapter.NV, qpos.dtype), carried)
+
+
+def _motion(plant: Plant, qpos: Float[Array, "19"], qvel: Float[Array, "18"], share: Any) -> BodyMotion:
+    return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *masses(plant, share)), qpos, qvel)
+
+
+def masses(plant: Plant, share: Float[Array, ""]) -> BodyMasses:
+    """Masses of the bodies with a share of the load, 0 to 1."""
+    mass, com, inertia = (b + share * (a - b) for b, a in zip(plant.before, plant.after, strict=True))
+    return mass, com, inertia
 
 
 def contact_force(body: BodyMotion, contact: ground.Contact) -> Float[Array, "18"]:
@@ -121,9 +140,9 @@ class Forces(eqx.Module):
     contact: ground.Contact
     """At the start of the tick."""
     torque: Float[Array, "2 6"]
-    """Of the servos, at the joint speeds of the start of the tick [N m]."""
+    """Of servos and stops, at the joint speeds of the start of the tick [N m]."""
     damping: Float[Array, "2 6"]
-    """That the servos still owe, see `servo.torque` [N m s/rad]."""
+    """That servos and stops still owe, see `servo.torque` [N m s/rad]."""
     push: Float[Array, "18"]
     """Joint-space force of the push."""
     qvel: Float[Array, "18"]
@@ -138,7 +157,7 @@ class Forces(eqx.Module):
 
 @jax.custom_jvp
 def acceleration(forces: Forces) -> Float[Array, "18"]:
-    """Joint-space acceleration; friction and the servos' damping act at the velocity of the end of the tick.
+    """Joint-space acceleration; ground, stops and the servos' damping act at the velocity of the end of the tick.
 
     Differentiated through inverse dynamics: what a change leaves of `balance` must be made good by the acceleration.
     Neither the inertia matrix nor the elimination is differentiated.
@@ -165,9 +184,9 @@ def _matrix(forces: Forces) -> mjx_adapter.JointMatrix:
     """Inertia, and what acts at the end of the tick."""
     body, dt = forces.body, forces.dt
     matrix = jax.tree.map(
-        lambda inertia, drag: inertia + dt * drag,
+        lambda inertia, damping: inertia + dt * damping,
         mjx_adapter.blocks(body.mass_matrix),
-        ground.drag_matrix(body, forces.contact),
+        ground.damping_matrix(body, forces.contact),
     )
     return eqx.tree_at(lambda m: m.leg, matrix, matrix.leg + dt * forces.damping[..., None] * jnp.eye(6))
 
@@ -182,12 +201,22 @@ def balance(forces: Forces, qacc: Float[Array, "18"]) -> Float[Array, "18"]:
     return given - needed - forces.armature * qacc
 
 
-def servo_torque(
+def joint_torque(
     plant: Plant,
     reference: Reference,
     qpos: Float[Array, "19"],
     qvel: Float[Array, "18"],
     integral: Float[Array, "2 6"],
-) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"]]:
-    """Joint torques and the damping still owed, see `servo.torque`."""
-    return servo.torque(plant.servo, reference, qpos[7:].reshape(2, 6), qvel[6:].reshape(2, 6), integral)
+    dt: float,
+) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"], Float[Array, "2 6"]]:
+    """Torques of the servos, torques of servos and stops together, and the damping both still owe.
+
+    At the ends of its range a joint meets a one-sided spring, STOP_STIFFNESS times as stiff as its servo.
+    """
+    angle, speed = qpos[FREE_DOFS + 1 :].reshape(2, 6), qvel[FREE_DOFS:].reshape(2, 6)
+    torque, damping = servo.torque(plant.servo, reference, angle, speed, integral)
+    lower, upper = plant.robot.joint_range[..., 0], plant.robot.joint_range[..., 1]
+    stiffness = STOP_STIFFNESS * plant.servo.kp
+    up, up_damping = ground.one_sided_spring(angle - lower, speed, stiffness, STOP_DAMPING, dt)
+    down, down_damping = ground.one_sided_spring(upper - angle, -speed, stiffness, STOP_DAMPING, dt)
+    return torque, torque + up - down, damping + up_damping + down_damping

@@ -1,10 +1,13 @@
-"""The same walk in C MuJoCo, tick by tick on the host: a cross-check of `rollout` that shares no physics with it.
+"""The same walks in C MuJoCo, tick by tick on the host: a cross-check of `rollout` that shares no physics with it.
 
-Contacts are MuJoCo's own, between small spheres at the sole corners and level boxes; dynamics, servos, statistics and
-sensors are done again in C and NumPy. Controller, inverse kinematics, feed-forward and start are those of `rollout`.
+Contacts are MuJoCo's own (`c_world`), between the soles and level boxes; dynamics, servos, statistics and sensors are
+done again in C and NumPy. Controller, inverse kinematics, feed-forward and start are those of `rollout`.
 MuJoCo's servos have no speed limit, and its contacts are linear springs and dampers (`solref`) without a slip speed.
+
+Many walks go on in lockstep: MuJoCo moves one robot after the other, everything else is done for all of them at once.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -16,15 +19,14 @@ from jaxtyping import Array, Float, Int
 
 from jaxbiped import runtime
 from jaxbiped.adapt import Controller, Sensed
-from jaxbiped.kinematics import GRAVITY
 from jaxbiped.planner import Targets, at, support
-from jaxbiped.robot import SIDE_NAMES, RobotParams
-from jaxbiped.sim import equilibrium, mjx_adapter, plant, sensors
+from jaxbiped.robot import RobotParams
+from jaxbiped.sim import c_world, equilibrium, mjx_adapter, plant, sensors
+from jaxbiped.sim.c_world import SPHERES, heights
 from jaxbiped.sim.feed_forward import FeedForward
 from jaxbiped.sim.mjx_adapter import LEFT_FOOT, RIGHT_FOOT, TRUNK
-from jaxbiped.sim.model import CORNER_NAMES, build_spec
 from jaxbiped.sim.rollout import Options, Sample, Walk, make_feed_forward, servo_reference
-from jaxbiped.sim.scenario import Payload, Scenario, SensorFaults, Terrain
+from jaxbiped.sim.scenario import Scenario, SensorFaults
 from jaxbiped.sim.sensors import BOUNCE_PERIOD, Delay
 from jaxbiped.sim.servo import Reference
 from jaxbiped.sim.statistics import (
@@ -42,24 +44,17 @@ from jaxbiped.sim.statistics import (
     reach_margin,
 )
 
-IMPEDANCE = 0.9
-"""MuJoCo's contact impedance, the same at all depths, so that a contact is a linear spring and damper."""
-OUTER = 50.0
-"""How far raised ground reaches where nothing bounds it [m]."""
-THICKNESS = 0.1
-"""How far boxes reach below the lowest ground [m]."""
-CORNERS = tuple(f"{side}_{corner}" for side in SIDE_NAMES for corner in CORNER_NAMES)
-"""Names of sites, spheres and contact sensors at the sole corners."""
-
+TOGETHER = 256
+"""Control ticks whose support polygons are looked at together."""
 _FEET = [LEFT_FOOT, RIGHT_FOOT]
 _SOLE_SITES, _CORNER_SITES = [0, 5], [1, 2, 3, 4, 6, 7, 8, 9]
 """Numbers of the sites, foot by foot the sole's and its corners'."""
-Box = tuple[tuple[float, float], tuple[float, float], float]
-"""Smallest and largest (x, y) of a level box, and the height of its top [m]."""
+Told = Callable[[float, int], None]
+"""What is told of the progress: the time reached [s], and how many robots still walk."""
 
 
 class References(eqx.Module):
-    """What the servos are told at a control tick; with a leading axis, from the start on at every one."""
+    """What the servos are told at a control tick; with a leading axis, from the start on at every one, or of lanes."""
 
     angle: Float[Array, "*n 2 6"]
     """[rad]"""
@@ -69,6 +64,8 @@ class References(eqx.Module):
     """[N m]"""
     status: Int[Array, "*n 2"]
     """Status of the inverse kinematics, each leg."""
+    reach: Float[Array, "*n"]
+    """By how much the more stretched leg stays below the longest one [m]."""
     targets: Targets
     """What the controller asked for."""
 
@@ -80,6 +77,7 @@ def replay_c(
     duration: float,
     options: Options | None = None,
     references: References | None = None,
+    contact: str = SPHERES,
 ) -> Walk:
     """Walk one robot in one scenario for `duration` [s] in C MuJoCo; runs on the host, cannot be traced.
 
@@ -89,28 +87,63 @@ def replay_c(
         scenario: one scenario, without a batch axis; rectangles may overlap and may be holes.
         duration: [s].
         options: those of `rollout`.
-        references: from `open_loop_references`; for a controller that makes no use of what it senses. Much faster.
+        references: from `open_loop_references`; for a controller that makes no use of what it senses. Faster.
+        contact: model of the contact between soles and ground, one of `c_world.CONTACTS`.
 
     Returns:
         As from `rollout`, but the trace ends where the walk ends, at a fall too.
 
     Raises:
-        ValueError: if the references are shorter than the walk.
+        ValueError: if the references are shorter than the walk, or for a model of the contact that there is not.
     """
+    scenarios = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scenario)
+    return replay_many(robot, controller, scenarios, duration, options, references, contact)[0]
+
+
+def replay_many(
+    robot: RobotParams,
+    controller: Controller,
+    scenarios: Scenario,
+    duration: float,
+    options: Options | None = None,
+    references: References | None = None,
+    contact: str = SPHERES,
+    told: Told | None = None,
+) -> list[Walk]:
+    """Walk one robot in many scenarios, in lockstep; a robot that has failed stays as it is.
+
+    Args:
+        robot: as for `replay_c`.
+        controller: as for `replay_c`.
+        scenarios: with a leading axis.
+        duration: as for `replay_c`.
+        options: as for `replay_c`.
+        references: as for `replay_c`.
+        contact: as for `replay_c`.
+        told: is told of the progress at every control tick.
+
+    Returns:
+        As from `replay_c`, one for every scenario.
+
+    Raises:
+        ValueError: as from `replay_c`.
+    """
+    contact = c_world.CONTACT.check("contact", contact)
     options = options or Options()
     ticks = round(duration / options.control_dt)
     table = make_feed_forward(robot, controller, duration, options)
-    qpos, first = _start(
-        robot, mjx_adapter.base_model(robot), controller, scenario, table, options.payload_model
-    )
-    world = _World(robot, scenario, options, np.asarray(qpos, float))
+    sinkage = np.asarray(scenarios.ground.sinkage)
+    depth = {one: c_world.resting_depth(robot, float(one), options.dt, contact) for one in np.unique(sinkage)}
+    rests = jnp.asarray([depth[one] for one in sinkage], sinkage.dtype)
+    sunk = eqx.tree_at(lambda s: s.ground.sinkage, scenarios, rests)
+    model = mjx_adapter.base_model(robot)
+    qpos, first = _start(robot, model, controller, sunk, table, options.payload_model)
+    worlds = _Worlds(robot, scenarios, options, contact, np.asarray(qpos, float))
     if references is None:
-        pilot = _ClosedLoop(robot, controller, scenario.sensors, table, options, first)
+        pilot = _ClosedLoop(robot, controller, scenarios, table, options, first, worlds)
     else:
         pilot = _OpenLoop(references, ticks)
-    log = _Log(ticks, options.control_every, options.dt)
-    _walk(world, pilot, log, ticks)
-    return _result(world, pilot, log)
+    return _walk(worlds, pilot, ticks, told)
 
 
 @runtime.jit
@@ -132,7 +165,8 @@ def open_loop_references(
 
 def _references(robot: RobotParams, targets: Targets, table: FeedForward) -> References:
     reference, status = servo_reference(robot, targets, table)
-    return References(reference.angle, reference.speed, reference.feed_forward, status, targets)
+    reach = reach_margin(robot, targets.position)
+    return References(reference.angle, reference.speed, reference.feed_forward, status, reach, targets)
 
 
 @runtime.jit
@@ -140,244 +174,156 @@ def _start(
     robot: RobotParams,
     model: Any,
     controller: Controller,
-    scenario: Scenario,
+    scenarios: Scenario,
     table: FeedForward,
     payload_model: str,
-) -> tuple[Float[Array, "19"], References]:
+) -> tuple[Float[Array, "n 19"], References]:
     """Where `rollout` starts: at rest on the compliant ground."""
     first = _references(robot, at(controller.gait, 0.0), table)
-    world = plant.make_plant(robot, model, scenario, payload_model)
     reference = Reference(first.angle, first.speed, first.feed_forward)
-    return equilibrium.standing(world, first.targets.position, reference), first
+
+    def one(scenario: Scenario) -> Float[Array, "19"]:
+        world = plant.make_plant(robot, model, scenario, payload_model)
+        return equilibrium.standing(world, first.targets.position, reference)
+
+    return jax.vmap(one)(scenarios), first
 
 
-# The ground ------------------------------------------------------------------------------------------------------
-
-
-def heights(terrain: Terrain, xy: np.ndarray) -> np.ndarray:
-    """Height of the ground with sharp edges at points (*n, 2) [m]."""
-    point = xy[..., None, :]
-    inside = (point >= np.asarray(terrain.lower)) & (point < np.asarray(terrain.upper))
-    return np.sum(np.asarray(terrain.height) * inside.all(-1), axis=-1)
-
-
-def level_boxes(terrain: Terrain) -> tuple[float, list[Box]]:
-    """Height of the lowest ground and the boxes that rise from it; all edges cut the plane into cells.
-
-    For every height there are boxes over all ground at least so high, so that where ground is merely raised there is
-    one box for every rectangle; boxes of one height share edges only around holes, where a corner may touch two.
-    """
-    lower, upper, height = (np.asarray(a, float) for a in (terrain.lower, terrain.upper, terrain.height))
-    used = (lower < upper).all(axis=1) & (height != 0.0)
-    if not used.any():
-        return 0.0, []
-    x, y = (np.unique(np.concatenate([[-OUTER, OUTER], lower[used, i], upper[used, i]])) for i in range(2))
-    middle = np.stack(np.meshgrid(*((edge[1:] + edge[:-1]) / 2.0 for edge in (x, y)), indexing="ij"), -1)
-    cells = np.round(heights(terrain, middle), 9)
-    boxes = []
-    for level in np.unique(cells)[1:]:
-        for i, j, k, m in _rectangles(cells >= level):
-            boxes.append(((float(x[i]), float(y[k])), (float(x[j]), float(y[m])), float(level)))
-    return float(cells.min()), boxes
-
-
-def _rectangles(mask: np.ndarray) -> list[tuple[int, int, int, int]]:
-    """Cover a mask with rectangles of cells [i, j) x [k, m) that do not overlap."""
-    left, found = mask.copy(), []
-    for i, k in np.argwhere(mask):
-        if not left[i, k]:
-            continue
-        m = k + 1
-        while m < left.shape[1] and left[i, m]:
-            m += 1
-        j = i + 1
-        while j < left.shape[0] and left[j, k:m].all():
-            j += 1
-        left[i:j, k:m] = False
-        found.append((int(i), int(j), int(k), int(m)))
-    return found
-
-
-def contact_time_constant(robot: RobotParams, sinkage: float, invweight: float) -> float:
-    """MuJoCo's `solref` time constant [s] with which the nominal robot on both feet sinks in by `sinkage` [m].
-
-    At constant impedance d a contact at rest has force / depth = 1 / ((1 - d) timeconst^2 invweight), `invweight`
-    [1/kg] being that of the foot; and that is to be the weight on each of eight corners over the sinkage.
-    """
-    wanted = float(robot.total_mass) * GRAVITY / (8.0 * sinkage)
-    return float(np.sqrt(1.0 / ((1.0 - IMPEDANCE) * wanted * invweight)))
-
-
-def build_world(robot: RobotParams, scenario: Scenario, timestep: float) -> mujoco.MjModel:
-    """The robot with its model errors on the scenario's ground, with a force sensor for every sole corner."""
-    base, boxes = level_boxes(scenario.terrain)
-    spec = build_spec(_with_errors(robot, scenario), timestep)
-    floor = spec.geom("floor")
-    assert floor is not None
-    floor.pos = [0.0, 0.0, base]
-    for i, (lower, upper, top) in enumerate(boxes):
-        low, high = np.array([*lower, base - THICKNESS]), np.array([*upper, top])
-        box = spec.worldbody.add_geom(
-            name=f"box_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, contype=1, conaffinity=2
-        )
-        box.pos, box.size = (low + high) / 2.0, (high - low) / 2.0
-    force, net_force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3
-    for name in CORNERS:
-        spec.add_sensor(
-            name=name,
-            type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=mujoco.mjtObj.mjOBJ_GEOM,
-            objname=name,
-            intprm=[force, net_force, 1],
-        )
-    model = spec.compile()
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    nominal = build_spec(robot).compile().body_invweight0[LEFT_FOOT, 0]
-    model.geom_solref[:] = contact_time_constant(robot, float(scenario.ground.sinkage), nominal), 1.0
-    model.geom_solimp[:] = IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0
-    model.geom_friction[:, 0] = float(scenario.ground.friction)
-    return model
-
-
-def _with_errors(robot: RobotParams, scenario: Scenario) -> RobotParams:
-    errors, links, servo = scenario.errors, robot.links, robot.servo
-    return eqx.tree_at(
-        lambda r: (r.links.mass, r.links.inertia, r.links.com, r.servo.kp, r.servo.kv, r.servo.ki),
-        robot,
-        (
-            links.mass * errors.mass_scale,
-            links.inertia * errors.mass_scale[:, None, None],
-            links.com.at[0].add(errors.trunk_com_offset),
-            servo.kp * errors.gain_scale,
-            servo.kv * errors.gain_scale,
-            servo.ki * errors.gain_scale,
-        ),
-    )
-
-
-# The load --------------------------------------------------------------------------------------------------------
-
-
-def attach(model: mujoco.MjModel, payload: Payload, payload_model: str) -> None:
-    """Give the trunk the mass, centre of mass and inertia of trunk and load in one; contacts stay as they are.
-
-    `exact`: a uniform cube, by the parallel-axis theorem. `thesis`: elkahlout Eqs. 3.8-3.10, where the inertia only
-    grows in proportion to the mass.
-    """
-    mass, load = float(model.body_mass[TRUNK]), float(payload.mass)
-    com, place = model.body_ipos[TRUNK].copy(), np.asarray(payload.place, float)
-    turn = np.empty(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[TRUNK])
-    turn = turn.reshape(3, 3)
-    inertia = turn @ np.diag(model.body_inertia[TRUNK]) @ turn.T
-    total = mass + load
-    centre = (mass * com + load * place) / total
-    if payload_model == plant.EXACT:
-        inertia = inertia + np.eye(3) * load * float(payload.size) ** 2 / 6.0
-        inertia = inertia + mass * _offset(com - centre) + load * _offset(place - centre)
-    else:
-        inertia = inertia * total / mass
-    principal, axes = np.linalg.eigh(inertia)
-    axes = axes * np.sign(np.linalg.det(axes))
-    mujoco.mju_mat2Quat(model.body_iquat[TRUNK], axes.reshape(9))
-    model.body_mass[TRUNK], model.body_inertia[TRUNK], model.body_ipos[TRUNK] = total, principal, centre
-    model.body_subtreemass[: TRUNK + 1] += load
-    model.body_sameframe[TRUNK] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-
-
-def _offset(arm: np.ndarray) -> np.ndarray:
-    """Inertia of a unit of mass at `arm` [m2]."""
-    return np.eye(3) * (arm @ arm) - np.outer(arm, arm)
-
-
-# The walk --------------------------------------------------------------------------------------------------------
+# The walks -------------------------------------------------------------------------------------------------------
 
 Row = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Angles [rad], speeds [rad/s] and feed-forward torques [N m] of the twelve joints."""
+"""Angles [rad], speeds [rad/s] and feed-forward torques [N m] of the twelve joints (*n, 12)."""
 
 
-class _World:
-    """Model and state of the simulation, and what each tick needs of the scenario as plain numbers."""
+class _Lane:
+    """One simulation, and the places in memory where MuJoCo leaves what is read at every tick."""
 
-    def __init__(self, robot: RobotParams, scenario: Scenario, options: Options, qpos: np.ndarray):
-        self.robot, self.options, self.scenario = robot, options, scenario
-        self.model = build_world(robot, scenario, options.dt)
+    def __init__(
+        self, robot: RobotParams, scenario: Scenario, options: Options, contact: str, qpos: np.ndarray
+    ):
+        self.payload, self.payload_model = scenario.payload, options.payload_model
+        self.model = c_world.build_world(robot, scenario, options.dt, contact)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = qpos
-        self.attach_time = float(scenario.payload.time) if float(scenario.payload.mass) > 0.0 else np.inf
+        mujoco.mj_kinematics(self.model, self.data)
+        self.unloaded = c_world.without_load(self.model)
         self.trunk_com = self.model.body_ipos[TRUNK].copy()
-        push = scenario.push
-        self.push, self.push_start = np.asarray(push.force, float), float(push.start)
-        self.push_end = self.push_start + float(push.length)
-        self.kp = self.model.actuator_gainprm[:, 0].copy()
-        self.kv = -self.model.actuator_biasprm[:, 2]
-        self.ki = np.asarray(robot.servo.ki * scenario.errors.gain_scale, float).ravel()
-        self.has_integral = bool(self.ki.any())
-        self.speed_limit = np.asarray(robot.servo.speed_limit, float).ravel()
-        self.integral = np.zeros(12)
+        self.push = np.asarray(scenario.push.force, float)
+        self.ctrl, self.readings = self.data.ctrl, self.data.sensordata
+        self.xpos, self.site = self.data.xpos, self.data.site_xpos
+        self.xmat = self.data.xmat.reshape(-1, 3, 3)
 
-    def control_tick(self, tick: int, reference: Row, log: "_Log") -> None:
-        """`control_every` physics ticks, the first one number `tick`, under one reference that moves on.
+    def attach(self) -> None:
+        """The load."""
+        c_world.attach(self.model, self.payload, self.payload_model)
+
+    def detach(self) -> None:
+        """The load, again."""
+        c_world.detach(self.model, self.unloaded)
+
+    def set_push(self, share: float) -> None:
+        """A share of the force of the push, on the trunk's own centre of mass."""
+        force = share * self.push
+        arm = self.xmat[TRUNK] @ (self.trunk_com - self.model.body_ipos[TRUNK])
+        self.data.xfrc_applied[TRUNK] = np.concatenate([force, np.cross(arm, force)])
+
+
+class _Worlds:
+    """All simulations, and what they saw at the start of the last tick with a leading axis."""
+
+    def __init__(
+        self, robot: RobotParams, scenarios: Scenario, options: Options, contact: str, qpos: np.ndarray
+    ):
+        self.robot, self.options, self.contact = robot, options, contact
+        self.scenarios: Scenario = jax.tree.map(lambda leaf: np.asarray(leaf, float), scenarios)
+        self.n = n = len(qpos)
+        self.lanes = [_Lane(robot, self.scenario(i), options, contact, qpos[i]) for i in range(n)]
+        self.walking = np.ones(n, bool)
+        self.xpos, self.xmat = self._all("xpos"), self._all("xmat")
+        self.site, self.readings = self._all("site"), self._all("readings")
+        self.force = np.zeros((n, 8, 3))
+        self.qpos, self.qvel, self.torque = qpos.copy(), np.zeros((n, 18)), np.zeros((n, 12))
+        payload, push = self.scenarios.payload, self.scenarios.push
+        self.attach_time = np.where(payload.mass > 0.0, payload.time, np.inf)
+        self.detach_time = np.where(payload.mass > 0.0, payload.end, np.inf)
+        self.push_start = push.start
+        self.push_end = self.push_start + push.length
+        self.kp = np.stack([lane.model.actuator_gainprm[:, 0] for lane in self.lanes])
+        self.kv = -np.stack([lane.model.actuator_biasprm[:, 2] for lane in self.lanes])
+        gain = self.scenarios.errors.gain_scale.reshape(n, 12)
+        self.ki = np.asarray(robot.servo.ki, float).ravel() * gain
+        self.has_integral = bool(self.ki.any())
+        self.integral = np.zeros((n, 12))
+        self.speed_limit = np.asarray(robot.servo.speed_limit, float).ravel()
+
+    def scenario(self, i: int) -> Scenario:
+        """That of one lane."""
+        return jax.tree.map(lambda leaf: leaf[i], self.scenarios)
+
+    def _all(self, name: str) -> np.ndarray:
+        return np.stack([getattr(lane, name) for lane in self.lanes])
+
+    @property
+    def corner(self) -> np.ndarray:
+        """Sole corners (n, 8, 3) [m]."""
+        return self.site[:, _CORNER_SITES]
+
+    @property
+    def gap(self) -> np.ndarray:
+        """Height of the corners over the ground (n, 2, 4) [m]."""
+        corner = self.corner
+        return (corner[..., 2] - heights(self.scenarios.terrain, corner[..., :2])).reshape(-1, 2, 4)
+
+    def control_tick(self, number: int, reference: Row, after: Callable[[int], None]) -> None:
+        """`control_every` physics ticks, the first one number `number`, under one reference that moves on.
 
         The setpoint kp^-1 (kp q + kv qd + ff + ki integral) makes MuJoCo's position actuator the robot's servo.
         """
         angle, speed, torque = reference
         dt = self.options.dt
         ctrl = angle + (self.kv * np.clip(speed, -self.speed_limit, self.speed_limit) + torque) / self.kp
-        for _ in range(self.options.control_every):
+        for tick in range(number, number + self.options.control_every):
             self._disturb(tick * dt)
-            self.data.ctrl[:] = ctrl
+            told = ctrl
             if self.has_integral:
-                self.data.ctrl += self.ki * self.integral / self.kp
-                self.integral += dt * (angle - self.data.qpos[7:])
+                told = ctrl + self.ki * self.integral / self.kp
+                self.integral += dt * (angle - np.stack([lane.data.qpos[7:] for lane in self.lanes]))
                 angle = angle + dt * speed
-            mujoco.mj_step(self.model, self.data)
-            log.write(tick, self.data)
+            self._step(told)
+            after(tick)
             ctrl = ctrl + dt * speed
-            tick += 1
+        for i in np.flatnonzero(self.walking):
+            data = self.lanes[i].data
+            self.qpos[i], self.qvel[i], self.torque[i] = data.qpos, data.qvel, data.actuator_force
+
+    def _step(self, ctrl: np.ndarray) -> None:
+        """One tick; MuJoCo leaves kinematics and forces of its start."""
+        for i in np.flatnonzero(self.walking).tolist():
+            lane = self.lanes[i]
+            lane.ctrl[:] = ctrl[i]
+            mujoco.mj_step(lane.model, lane.data)
+            self.xpos[i], self.xmat[i] = lane.xpos, lane.xmat
+            self.site[i], self.readings[i] = lane.site, lane.readings
+        self.force = c_world.corner_forces(
+            self.robot, self.contact, self.readings, self.site[:, _SOLE_SITES], self.xmat[:, _FEET]
+        )
 
     def _disturb(self, time: float) -> None:
         dt = self.options.dt
-        if time + 0.5 * dt >= self.attach_time:
-            attach(self.model, self.scenario.payload, self.options.payload_model)
-            self.attach_time = np.inf
-        if not self.push_start - dt < time < self.push_end + dt:
-            return
-        overlap = min(time + dt, self.push_end) - max(time, self.push_start)
-        force = max(overlap / dt, 0.0) * self.push
-        arm = self.data.xmat[TRUNK].reshape(3, 3) @ (self.trunk_com - self.model.body_ipos[TRUNK])
-        self.data.xfrc_applied[TRUNK] = np.concatenate([force, np.cross(arm, force)])
-
-
-class _Log:
-    """What every physics tick saw at its start (n rows), and the state every control tick ended in (c rows)."""
-
-    def __init__(self, ticks: int, every: int, dt: float):
-        n, c = ticks * every, ticks
-        self.every, self.dt, self.done = every, dt, 0
-        self.xpos, self.xmat = np.zeros((n, 14, 3)), np.zeros((n, 14, 3, 3))
-        self.site, self.force = np.zeros((n, 10, 3)), np.zeros((n, 8, 3))
-        self.torque, self.qpos, self.qvel = np.zeros((c, 12)), np.zeros((c, 19)), np.zeros((c, 18))
-
-    def write(self, row: int, data: mujoco.MjData) -> None:
-        """After `mj_step`, which leaves kinematics and forces of its start."""
-        self.xpos[row], self.site[row] = data.xpos, data.site_xpos
-        self.xmat[row].reshape(14, 9)[:] = data.xmat
-        np.negative(data.sensordata, out=self.force[row].reshape(24))
-
-    def write_control(self, row: int, data: mujoco.MjData) -> None:
-        """After a control tick."""
-        self.torque[row], self.qpos[row], self.qvel[row] = data.actuator_force, data.qpos, data.qvel
-        self.done = row + 1
-
-    @property
-    def p_world_corner(self) -> np.ndarray:
-        """Sole corners (n, 8, 3) [m]."""
-        return self.site[:, _CORNER_SITES]
+        for i in np.flatnonzero(self.walking & (time + 0.5 * dt >= self.attach_time)):
+            self.lanes[i].attach()
+            self.attach_time[i] = np.inf
+        for i in np.flatnonzero(self.walking & (time + 0.5 * dt >= self.detach_time)):
+            self.lanes[i].detach()
+            self.detach_time[i] = np.inf
+        pushed = self.walking & (self.push_start - dt < time) & (time < self.push_end + dt)
+        for i in np.flatnonzero(pushed):
+            overlap = min(time + dt, self.push_end[i]) - max(time, self.push_start[i])
+            self.lanes[i].set_push(max(float(overlap) / dt, 0.0))
 
 
 class _OpenLoop:
-    """References known beforehand."""
+    """References known beforehand, the same for all."""
 
     def __init__(self, references: References, ticks: int):
         if references.angle.shape[0] < ticks + 1:
@@ -385,150 +331,191 @@ class _OpenLoop:
                 f"references: got {references.angle.shape[0] - 1} control ticks, allowed: >= {ticks}"
             )
         self.references = jax.tree.map(np.asarray, references)
-        self.state = None
-        self.flat = [
+        self.tick, self.states = 0, None
+        self.rows = [
             a.reshape(-1, 12).astype(float)
             for a in (self.references.angle, self.references.speed, self.references.feed_forward)
         ]
+        self.out_of_reach = (self.references.status != 0).any(axis=1)
 
-    def row(self, tick: int) -> Row:
-        angle, speed, torque = self.flat
-        return angle[tick], speed[tick], torque[tick]
+    def row(self) -> Row:
+        angle, speed, torque = (rows[self.tick] for rows in self.rows)
+        return angle, speed, torque
 
-    def sense(self, world: _World, log: _Log, tick: int) -> None:
+    def see(self, worlds: _Worlds, tick: int) -> None:
         pass
 
-    def asked(self, ticks: np.ndarray) -> tuple[np.ndarray, Targets]:
-        rows = jax.tree.map(lambda leaf: leaf[ticks + 1], self.references)
-        return rows.status, jax.tree.map(jnp.asarray, rows.targets)
+    def sense(self, worlds: _Worlds, zmp: np.ndarray, tick: int) -> None:
+        self.tick = tick + 1
+
+    def asked(self) -> tuple[np.ndarray, np.ndarray]:
+        now = slice(self.tick, self.tick + 1)
+        return np.asarray(self.references.reach[now]), self.out_of_reach[now]
+
+    def targets(self, n: int) -> Targets:
+        return jax.tree.map(
+            lambda leaf: np.broadcast_to(leaf[self.tick], (n, *leaf.shape[1:])), self.references.targets
+        )
 
 
 class _ClosedLoop:
-    """The controller, stepped at every control tick on what the sensors say."""
+    """The controllers, stepped at every control tick on what the sensors say."""
 
     def __init__(
         self,
         robot: RobotParams,
         controller: Controller,
-        faults: SensorFaults,
+        scenarios: Scenario,
         table: FeedForward,
         options: Options,
         first: References,
+        worlds: _Worlds,
     ):
-        self.known = (robot, controller, faults, table, options)
-        self.delta_z, self.stuck = np.asarray(faults.delta_z), np.asarray(faults.stuck_open) > 0.5
-        self.bounce = float(faults.bounce)
-        self.history, self.state, self.delay = [first], controller.init(), None
-        self.closed: Any = None
-        self.gap: Any = None
-        self.closing: Any = None
-        self.zmp: Any = None
+        def everywhere(leaf: Any) -> Array:
+            return jnp.broadcast_to(jnp.asarray(leaf), (worlds.n, *jnp.shape(leaf)))
 
-    def row(self, tick: int) -> Row:
-        last = self.history[tick]
+        self.known = (robot, controller, table, options, scenarios.sensors)
+        self.references, self.states = jax.tree.map(everywhere, (first, controller.init()))
+        self.delay: Delay | None = None
+        faults = worlds.scenarios.sensors
+        self.bounce = faults.bounce[:, None, None]
+        self.delta_z, self.stuck = faults.delta_z, faults.stuck_open > 0.5
+        self.gap = worlds.gap
+        self.closed = (self.gap <= self.delta_z) & ~self.stuck
+        self.closing = np.where(self.closed, 0.0, np.inf)
+
+    def row(self) -> Row:
+        last = self.references
         angle, speed, torque = (
-            np.asarray(a, float).reshape(12) for a in (last.angle, last.speed, last.feed_forward)
+            np.asarray(a, float).reshape(-1, 12) for a in (last.angle, last.speed, last.feed_forward)
         )
         return angle, speed, torque
 
-    def sense(self, world: _World, log: _Log, tick: int) -> None:
-        for row in range(tick * log.every, (tick + 1) * log.every):
-            self._switches(world, log, row)
-        reading = self._reading(log, tick, (tick + 1) * world.options.control_dt)
-        number = (tick + 1) * log.every
-        self.state, self.delay, reference = _control(
-            *self.known, self.state, self.delay, reading, np.int32(number)
-        )
-        self.history.append(reference)
-
-    def _switches(self, world: _World, log: _Log, row: int) -> None:
+    def see(self, worlds: _Worlds, tick: int) -> None:
         """As `sensors.read_switches`: they close within delta_z, at a time interpolated in the tick."""
-        corner, dt = log.site[row, _CORNER_SITES], world.options.dt
-        gap = (corner[:, 2] - heights(world.scenario.terrain, corner[:, :2])).reshape(2, 4)
+        gap, dt = worlds.gap, worlds.options.dt
         closed = (gap <= self.delta_z) & ~self.stuck
-        if self.gap is None:
-            self.closing = np.where(closed, 0.0, np.inf)
-        else:
-            fallen = self.gap - gap
-            share = np.clip((self.gap - self.delta_z) / np.where(fallen > 0.0, fallen, 1.0), 0.0, 1.0)
-            self.closing = np.where(closed & ~self.closed, row * dt - dt * (1.0 - share), self.closing)
+        fallen = self.gap - gap
+        share = np.clip((self.gap - self.delta_z) / np.where(fallen > 0.0, fallen, 1.0), 0.0, 1.0)
+        crossed = tick * dt - dt * (1.0 - share)
+        self.closing = np.where(closed & ~self.closed, crossed, self.closing)
         self.closed, self.gap = closed, gap
 
-    def _reading(self, log: _Log, tick: int, time: float) -> dict[str, np.ndarray]:
+    def sense(self, worlds: _Worlds, zmp: np.ndarray, tick: int) -> None:
+        reading = self._reading(worlds, zmp, (tick + 1) * worlds.options.control_dt)
+        number = np.int32((tick + 1) * worlds.options.control_every)
+        self.states, self.delay, self.references = _control(
+            *self.known, self.states, self.delay, reading, worlds.corner, worlds.walking, number
+        )
+
+    def _reading(self, worlds: _Worlds, zmp: np.ndarray, time: float) -> dict[str, np.ndarray]:
         """Every field of `Sensed`, by the definitions of `sensors.sense`."""
-        row = (tick + 1) * log.every - 1
-        trunk, feet = log.xpos[row, TRUNK], log.xpos[row, _FEET]
-        self.zmp = _zmp(log.force[row, :, 2], log.site[row, _CORNER_SITES], self.zmp, trunk)
-        force = log.force[row].reshape(2, 4, 3)
-        arm = log.site[row, _CORNER_SITES].reshape(2, 4, 3) - feet[:, None]
-        wrench = np.concatenate([force.sum(1), np.cross(arm, force).sum(1)], axis=1).reshape(2, 2, 3)
-        roll, pitch, yaw = _roll_pitch_yaw(log.xmat[row, TRUNK])
-        forward, c, s = self.zmp - trunk[:2], np.cos(yaw), np.sin(yaw)
+        n, trunk, feet = worlds.n, worlds.xpos[:, TRUNK], worlds.xpos[:, _FEET]
+        force = worlds.force.reshape(n, 2, 4, 3)
+        arm = worlds.corner.reshape(n, 2, 4, 3) - feet[:, :, None]
+        wrench = np.stack([force.sum(2), np.cross(arm, force).sum(2)], axis=2)
+        roll, pitch, yaw = _roll_pitch_yaw(worlds.xmat[:, TRUNK]).T
+        (x, y), c, s = (zmp - trunk[:, :2]).T, np.cos(yaw), np.sin(yaw)
         since = time - self.closing
         opened = (since < self.bounce) & (np.floor(since / BOUNCE_PERIOD) % 2 == 1)
         return {
-            "time": np.array(time),
+            "time": np.full(n, time),
             "switch": self.closed & ~opened,
             "switch_time": self.closing,
             "corner_force": force[..., 2],
-            "ankle_wrench": np.einsum("fji,fwj->fwi", log.xmat[row, _FEET], wrench).reshape(2, 6),
-            "angle": log.qpos[tick, 7:].reshape(2, 6),
-            "speed": log.qvel[tick, 6:].reshape(2, 6),
-            "roll_pitch": np.array([roll, pitch]),
-            "rate": log.qvel[tick, 3:6],
-            "zmp_world": self.zmp,
-            "zmp_body": np.array([c * forward[0] + s * forward[1], -s * forward[0] + c * forward[1]]),
+            "ankle_wrench": np.einsum("nfji,nfwj->nfwi", worlds.xmat[:, _FEET], wrench).reshape(n, 2, 6),
+            "angle": worlds.qpos[:, 7:].reshape(n, 2, 6),
+            "speed": worlds.qvel[:, 6:].reshape(n, 2, 6),
+            "roll_pitch": np.stack([roll, pitch], axis=1),
+            "rate": worlds.qvel[:, 3:6],
+            "zmp_world": zmp,
+            "zmp_body": np.stack([c * x + s * y, -s * x + c * y], axis=1),
         }
 
-    def asked(self, ticks: np.ndarray) -> tuple[np.ndarray, Targets]:
-        rows = [self.history[tick + 1] for tick in ticks]
-        if not rows:
-            rows = self.history[:1]
-            return np.zeros((0, 2), int), jax.tree.map(lambda leaf: leaf[None][:0], rows[0].targets)
-        stacked = jax.tree.map(lambda *leaf: np.stack(leaf), *rows)
-        return stacked.status, jax.tree.map(jnp.asarray, stacked.targets)
+    def asked(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.asarray(self.references.reach), (np.asarray(self.references.status) != 0).any(axis=1)
+
+    def targets(self, n: int) -> Targets:
+        return jax.tree.map(np.asarray, self.references.targets)
 
 
 _Pilot = _OpenLoop | _ClosedLoop
-"""Where the references come from: `row` before a control tick, `sense` after it, `asked` at the end."""
+"""Where the references come from: `row` before a control tick, `see` after each physics tick, `sense` after the control
+tick; then `asked` is by how much the legs reach the targets and whether they do not, each lane's or all lanes'."""
 
 
 @runtime.jit
 def _control(
     robot: RobotParams,
     controller: Controller,
-    faults: SensorFaults,
     table: FeedForward,
     options: Options,
-    state: Any,
-    delay: Delay | None,
-    reading: dict[str, Any],
+    faults: SensorFaults,
+    states: Any,
+    delays: Delay | None,
+    readings: dict[str, Any],
+    p_world_corner: Any,
+    walking: Any,
     tick: Any,
 ) -> tuple[Any, Delay | None, References]:
-    """One control tick of `rollout` on a reading from elsewhere: noise, delay, controller, inverse kinematics."""
-    sensed = Sensed(**reading)
-    if options.noise:
-        sensed = sensors.add_noise(sensed, faults, tick)
-    if options.delay_room > 0:
-        delay = Delay.filled(sensed, options.delay_room) if delay is None else delay
-        delay, sensed = delay.push(sensed, faults.delay, options.control_dt)
-    state, targets = controller.step(state, sensed)
-    return state, delay, _references(robot, targets, table)
+    """One control tick of `rollout` on readings from elsewhere: noise, delay, controller, inverse kinematics."""
+
+    def one(
+        faults: SensorFaults, state: Any, delay: Delay | None, reading: Any, corner: Any, goes_on: Any
+    ) -> Any:
+        sensed = Sensed(**reading)
+        if options.noise:
+            every, dt = options.control_every, options.control_dt
+            place = corner.reshape(2, 4, 3)
+            sensed = sensors.add_noise(robot, sensed, place, faults, tick, every, dt)
+        if options.delay_room > 0:
+            delay = Delay.filled(sensed, options.delay_room) if delay is None else delay
+            delay, sensed = delay.push(sensed, faults.delay, options.control_dt)
+        new, targets = controller.step(state, sensed)
+        state = jax.tree.map(lambda after, before: jnp.where(goes_on, after, before), new, state)
+        return state, delay, _references(robot, targets, table)
+
+    return jax.vmap(one)(faults, states, delays, readings, p_world_corner, walking)
 
 
-def _walk(world: _World, pilot: _Pilot, log: _Log, ticks: int) -> None:
-    """Step until the end or soon after a fall."""
-    for tick in range(ticks):
-        world.control_tick(tick * log.every, pilot.row(tick), log)
-        log.write_control(tick, world.data)
-        if not np.isfinite(world.data.qpos).all():
-            return
-        pilot.sense(world, log, tick)
-        if tick % 16 == 15 and _status(log, slice(tick * log.every, (tick + 1) * log.every)).any():
-            return
+def _walk(worlds: _Worlds, pilot: _Pilot, ticks: int, told: Told | None) -> list[Walk]:
+    """Step until the end, or until all have failed."""
+    options, n = worlds.options, worlds.n
+    tally, margins = _Tally(worlds), _Margins(n)
+    trace = _Trace(_sample(worlds, tally, pilot.targets(n), 0.0)) if options.trace_every else None
+    ended: dict[int, dict[str, np.ndarray]] = {}
+
+    def after(tick: int) -> None:
+        tally.update(worlds, (tick + 1) * options.dt)
+        pilot.see(worlds, tick)
+        for i in np.flatnonzero(worlds.walking & (tally.status != OK)).tolist():
+            ended[i] = tally.lane(i)
+            worlds.walking[i] = False
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        for tick in range(ticks):
+            worlds.control_tick(tick * options.control_every, pilot.row(), after)
+            if not worlds.walking.any():
+                break
+            tally.press(worlds)
+            pilot.sense(worlds, tally.zmp, tick)
+            margins.add(worlds, tally, *pilot.asked())
+            time = (tick + 1) * options.control_dt
+            if trace is not None and (tick + 1) % options.trace_every == 0:
+                trace.add(_sample(worlds, tally, pilot.targets(n), time), worlds.walking)
+            if told is not None:
+                told(time, int(worlds.walking.sum()))
+    margins.look()
+    states, walks = jax.tree.map(np.asarray, pilot.states), []
+    for i in range(n):
+        kept = (ended.get(i) or tally.lane(i)) | margins.lane(i, options.control_dt)
+        stats = Statistics(**{name: _device(value) for name, value in kept.items()})
+        state = jax.tree.map(lambda leaf, i=i: jnp.asarray(leaf[i]), states)
+        walks.append(Walk(stats, None if trace is None else trace.lane(i), state))
+    return walks
 
 
-# The result ------------------------------------------------------------------------------------------------------
+# What is kept ----------------------------------------------------------------------------------------------------
 
 
 def _roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
@@ -538,142 +525,155 @@ def _roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
     return np.stack([roll, pitch, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])], axis=-1)
 
 
-def _zmp(weight: np.ndarray, corner: np.ndarray, last: np.ndarray | None, trunk: np.ndarray) -> np.ndarray:
-    """Centre of the vertical forces (8,) at the corners (8, 3); the last one while nothing is loaded [m]."""
-    total = weight.sum()
-    if total > 1.0:
-        return weight @ corner[:, :2] / total
-    return trunk[:2] if last is None else last
+class _Tally:
+    """Statistics of every lane so far, by the definitions of `statistics.update`."""
+
+    def __init__(self, worlds: _Worlds):
+        n = worlds.n
+        self.status, self.end_time = np.full(n, OK, np.int32), np.zeros(n)
+        self.peak_roll_pitch, self.peak_foot_force = np.zeros((n, 2)), np.zeros((n, 2))
+        self.peak_slip, self.peak_touchdown_force = np.zeros((n, 2)), np.zeros((n, 2))
+        self.peak_touchdown_impulse, self.touch_impulse = np.zeros((n, 2)), np.zeros((n, 2))
+        self.support_time, self.touch_time = np.zeros(n), np.full((n, 2), -1.0)
+        self.anchor, self.loaded = worlds.xpos[:, _FEET, :2], np.ones((n, 2), bool)
+        self.p_world_trunk = worlds.xpos[:, TRUNK].copy()
+        self.pelvis_height = _pelvis_height(worlds.xpos)
+        self.names = list(vars(self))
+        self.vertical, self.place = np.zeros((n, 2)), self.anchor
+        self.zmp = self.p_world_trunk[:, :2]
+
+    def update(self, worlds: _Worlds, time: float) -> None:
+        """After a physics tick that ended at `time` [s]; what was seen at its start counts."""
+        dt = worlds.options.dt
+        vertical = worlds.force[..., 2].reshape(-1, 2, 4).sum(axis=2)
+        trunk, place = worlds.xpos[:, TRUNK], worlds.xpos[:, _FEET, :2]
+        loaded = vertical > LOADED
+        landed = loaded & ~self.loaded
+        if landed.any():
+            rise = np.where(landed, vertical - self.vertical, 1.0)
+            share = np.where(landed, (LOADED - self.vertical) / rise, 0.0)
+            touched = self.place + share[..., None] * (place - self.place)
+            self.touch_time = np.where(landed, time - dt * (1.0 - share), self.touch_time)
+            self.anchor = np.where(landed[..., None], touched, self.anchor)
+            self.touch_impulse = np.where(landed, 0.0, self.touch_impulse)
+        touching = (self.touch_time >= 0.0) & (time - self.touch_time < TOUCHDOWN)
+        force = np.where(touching, vertical, 0.0)
+        self.touch_impulse = self.touch_impulse + dt * force
+        slip = np.where(loaded, np.sqrt(((place - self.anchor) ** 2).sum(axis=-1)), 0.0)
+        tilt = np.abs(_roll_pitch_yaw(worlds.xmat[:, TRUNK])[:, :2])
+        for peak, value in (
+            (self.peak_roll_pitch, tilt),
+            (self.peak_foot_force, vertical),
+            (self.peak_slip, slip),
+            (self.peak_touchdown_force, force),
+            (self.peak_touchdown_impulse, self.touch_impulse),
+        ):
+            np.fmax(peak, value, out=peak)
+        self.support_time = np.where(vertical.sum(axis=1) > TOUCHING, time, self.support_time)
+        low = _pelvis_height(worlds.xpos) < FALL_HEIGHT * self.pelvis_height
+        fell = (tilt.max(axis=1) > FALL_TILT) | low
+        airborne = time - self.support_time > AIRBORNE_TIME + 1e-9
+        finite = np.isfinite(trunk).all(axis=1) & np.isfinite(vertical).all(axis=1)
+        fine = np.where(fell, FELL, np.where(airborne, AIRBORNE, OK))
+        self.status = np.where(finite, fine, NONFINITE).astype(np.int32)
+        self.end_time[:], self.p_world_trunk = time, trunk.copy()
+        self.loaded, self.vertical, self.place = loaded, vertical, place
+
+    def press(self, worlds: _Worlds) -> None:
+        """Centre of the vertical forces at the corners, at a control tick; the last one while nothing is loaded."""
+        weight, corner = worlds.force[..., 2], worlds.corner[..., :2]
+        total = weight.sum(axis=1)
+        pressed = total > 1.0
+        centre = np.einsum("nc,nci->ni", weight, corner) / np.where(pressed, total, 1.0)[:, None]
+        self.zmp = np.where(pressed[:, None], centre, self.zmp)
+
+    def lane(self, i: int) -> dict[str, np.ndarray]:
+        """Of one lane."""
+        return {name: np.array(getattr(self, name)[i]) for name in self.names}
 
 
-def _status(log: _Log, rows: slice) -> np.ndarray:
-    """Status of every tick, by the definitions of `statistics.update`."""
-    height = _pelvis_height(log.xpos[rows])
-    with np.errstate(invalid="ignore"):
-        tilt = np.abs(_roll_pitch_yaw(log.xmat[rows, TRUNK])[:, :2]).max(axis=1)
-        fell = (tilt > float(FALL_TILT)) | (height < FALL_HEIGHT * _pelvis_height(log.xpos[:1]))
-    finite = np.isfinite(log.xpos[rows, TRUNK]).all(axis=1) & np.isfinite(log.force[rows]).all(axis=(1, 2))
-    airborne = _since_support(log, rows.stop)[rows] * log.dt > AIRBORNE_TIME + 1e-9
-    return np.where(~finite, NONFINITE, np.where(fell, FELL, np.where(airborne, AIRBORNE, OK)))
+class _Margins:
+    """What the control ticks leave, by the definitions of `statistics.update_margins`."""
+
+    def __init__(self, n: int):
+        self.zmp_margin, self.reach_margin = np.full(n, np.inf), np.full(n, np.inf)
+        self.out_of_reach = np.zeros(n, int)
+        self.corner, self.zmp = np.zeros((TOGETHER, n, 8, 2)), np.zeros((TOGETHER, n, 2))
+        self.active, self.row = np.zeros((TOGETHER, n, 8), bool), 0
+
+    def add(self, worlds: _Worlds, tally: _Tally, reach: np.ndarray, out_of_reach: np.ndarray) -> None:
+        """After a control tick; of those that still walk."""
+        walking = worlds.walking
+        self.reach_margin = np.where(walking, np.fmin(self.reach_margin, reach), self.reach_margin)
+        self.out_of_reach += walking & out_of_reach
+        self.corner[self.row], self.zmp[self.row] = worlds.corner[..., :2], tally.zmp
+        self.active[self.row] = np.repeat(tally.loaded & walking[:, None], 4, axis=1)
+        self.row += 1
+        if self.row == TOGETHER:
+            self.look()
+
+    def look(self) -> None:
+        """At the support polygons of the last control ticks."""
+        least = np.asarray(_least_margin(self.corner, self.active, self.zmp))
+        self.zmp_margin = np.fmin(self.zmp_margin, least)
+        self.active[:], self.row = False, 0
+
+    def lane(self, i: int, control_dt: float) -> dict[str, np.ndarray]:
+        """Of one lane."""
+        time = np.asarray(self.out_of_reach[i] * control_dt)
+        margins = {name: np.asarray(getattr(self, name)[i]) for name in ("zmp_margin", "reach_margin")}
+        return {**margins, "out_of_reach_time": time}
 
 
-def _since_support(log: _Log, n: int) -> np.ndarray:
-    """Ticks since there was any ground force, after each of the first n ticks."""
-    with np.errstate(invalid="ignore"):
-        supported = log.force[:n, :, 2].sum(axis=1) > TOUCHING
-    ticks = np.arange(1, n + 1)
-    return ticks - np.maximum.accumulate(np.where(supported, ticks, 0))
+@runtime.jit
+def _least_margin(corner: Any, active: Any, zmp: Any) -> Float[Array, " n"]:
+    return jnp.min(jax.vmap(jax.vmap(support.margin))(corner, active, zmp), axis=0)
+
+
+def _sample(worlds: _Worlds, tally: _Tally, targets: Targets, time: float) -> dict[str, Any]:
+    """Fields of a `Sample` of all lanes, after a control tick."""
+    n, faults = worlds.n, worlds.scenarios.sensors
+    force = worlds.force.reshape(n, 2, 4, 3)
+    return {
+        "time": np.full(n, time),
+        "p_world_trunk": worlds.xpos[:, TRUNK].copy(),
+        "roll_pitch_yaw": _roll_pitch_yaw(worlds.xmat[:, TRUNK]),
+        "p_world_sole": worlds.site[:, _SOLE_SITES],
+        "foot_force": force.sum(axis=2),
+        "corner_force": force[..., 2].copy(),
+        "zmp_world": tally.zmp,
+        "switch": (worlds.gap <= faults.delta_z) & (faults.stuck_open < 0.5),
+        "torque": worlds.torque.reshape(n, 2, 6).copy(),
+        "qpos": worlds.qpos.copy(),
+        "targets": targets,
+    }
+
+
+class _Trace:
+    """Samples of all lanes, and which lanes they are of."""
+
+    def __init__(self, start: dict[str, Any]):
+        self.start = start
+        """What a sample is like; it is not kept."""
+        self.rows: list[dict[str, Any]] = []
+        self.walking: list[np.ndarray] = []
+
+    def add(self, row: dict[str, Any], walking: np.ndarray) -> None:
+        """After a control tick."""
+        self.rows.append(row)
+        self.walking.append(walking.copy())
+
+    def lane(self, i: int) -> Sample:
+        """Of one lane, as long as it walked."""
+        rows = [row for row, walking in zip(self.rows, self.walking, strict=True) if walking[i]]
+        stacked = jax.tree.map(lambda *leaves: np.stack([leaf[i] for leaf in leaves])[1:], self.start, *rows)
+        return Sample(**jax.tree.map(_device, stacked))
 
 
 def _pelvis_height(xpos: np.ndarray) -> np.ndarray:
     return xpos[..., TRUNK, 2] - xpos[..., _FEET, 2].min(axis=-1)
 
 
-def _result(world: _World, pilot: _Pilot, log: _Log) -> Walk:
-    options = world.options
-    status = _status(log, slice(0, log.done * log.every))
-    failed = np.flatnonzero(status)
-    n = int(failed[0]) + 1 if failed.size else status.size
-    walked = -(-n // log.every)
-    stats = _statistics(log, n, int(status[n - 1]), options)
-    stats |= _margins(world, pilot, log, np.arange(walked if not failed.size else walked - 1))
-    kept = Statistics(**{name: _device(value) for name, value in stats.items()})
-    if options.trace_every == 0:
-        return Walk(kept, None, pilot.state)
-    samples = np.arange(
-        options.trace_every - 1, walked if not failed.size else walked - 1, options.trace_every
-    )
-    return Walk(kept, _trace(world, pilot, log, samples), pilot.state)
-
-
-def _statistics(log: _Log, n: int, status: int, options: Options) -> dict[str, np.ndarray]:
-    """Of the first n ticks, by the definitions of `statistics.update`."""
-    vertical = log.force[:n, :, 2].reshape(n, 2, 4).sum(axis=2)
-    place = log.xpos[:n, _FEET, :2]
-    with np.errstate(invalid="ignore"):
-        loaded = vertical > LOADED
-        tilt = np.abs(_roll_pitch_yaw(log.xmat[:n, TRUNK])[:, :2])
-    landed = loaded & ~np.concatenate([np.ones((1, 2), bool), loaded[:-1]])
-    since = np.maximum.accumulate(np.where(landed, np.arange(n)[:, None], 0), axis=0)
-    anchor = np.take_along_axis(place, since[..., None], axis=0)
-    slip = np.where(loaded, np.linalg.norm(place - anchor, axis=-1), 0.0)
-    touchdown, impulse = _touchdowns(vertical, landed, since, options.dt)
-    return {
-        "status": np.array(status, np.int32),
-        "end_time": np.array(n * options.dt),
-        "peak_roll_pitch": np.nanmax(tilt, axis=0),
-        "peak_foot_force": np.nanmax(vertical, axis=0),
-        "peak_slip": np.nanmax(slip, axis=0),
-        "peak_touchdown_force": touchdown.max(axis=0),
-        "peak_touchdown_impulse": impulse.max(axis=0),
-        "support_time": np.array((n - _since_support(log, n)[-1]) * options.dt),
-        "touch_time": np.where(since[-1] > 0, (since[-1] + 1) * options.dt, -1.0),
-        "touch_impulse": impulse[-1],
-        "anchor": anchor[-1],
-        "loaded": loaded[-1],
-        "p_world_trunk": log.xpos[n - 1, TRUNK],
-        "pelvis_height": _pelvis_height(log.xpos[:1])[0],
-    }
-
-
-def _touchdowns(
-    vertical: np.ndarray, landed: np.ndarray, since: np.ndarray, dt: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertical force while a foot touches down, else 0, and its integral since the foot was loaded (n, 2)."""
-    age = np.arange(len(vertical))[:, None] - since
-    ever = np.maximum.accumulate(landed, axis=0)
-    force = np.where(ever & (age * dt < TOUCHDOWN - 1e-9), np.nan_to_num(vertical), 0.0)
-    total = np.cumsum(force * dt, axis=0)
-    before = np.take_along_axis(total - force * dt, since, axis=0)
-    return force, np.where(ever, total - before, 0.0)
-
-
-def _margins(world: _World, pilot: _Pilot, log: _Log, ticks: np.ndarray) -> dict[str, Any]:
-    """What the control ticks `ticks` leave, by the definitions of `statistics.update_margins`."""
-    rows = (ticks + 1) * log.every - 1
-    loaded = log.force[rows, :, 2].reshape(-1, 2, 4).sum(axis=2) > LOADED
-    corner = _device(log.site[rows][:, _CORNER_SITES][..., :2])
-    active, zmp = jnp.repeat(jnp.asarray(loaded), 4, axis=1), _device(_zmps(log, rows))
-    legs, asked = pilot.asked(ticks)
-    return {
-        "zmp_margin": jnp.min(jax.vmap(support.margin)(corner, active, zmp), initial=jnp.inf),
-        "reach_margin": jnp.min(
-            jax.vmap(reach_margin, (None, 0))(world.robot, asked.position), initial=jnp.inf
-        ),
-        "out_of_reach_time": (legs != 0).any(axis=1).sum() * world.options.control_dt,
-    }
-
-
-def _zmps(log: _Log, rows: np.ndarray) -> np.ndarray:
-    """Centre of pressure (n, 2) at physics ticks `rows`, the last one while the robot is in the air [m]."""
-    zmp: list[np.ndarray] = []
-    corner, force = log.site[rows][:, _CORNER_SITES], log.force[rows]
-    for place, push, trunk in zip(corner, force, log.xpos[rows, TRUNK], strict=True):
-        zmp.append(_zmp(push[:, 2], place, zmp[-1] if zmp else None, trunk))
-    return np.reshape(zmp, (-1, 2))
-
-
-def _trace(world: _World, pilot: _Pilot, log: _Log, ticks: np.ndarray) -> Sample:
-    """A sample after each of the control ticks `ticks`."""
-    rows = (ticks + 1) * log.every - 1
-    corner, force = log.site[rows][:, _CORNER_SITES], log.force[rows]
-    faults = world.scenario.sensors
-    gap = (corner[..., 2] - heights(world.scenario.terrain, corner[..., :2])).reshape(-1, 2, 4)
-    fields = {
-        "time": (ticks + 1) * world.options.control_dt,
-        "p_world_trunk": log.xpos[rows, TRUNK],
-        "roll_pitch_yaw": _roll_pitch_yaw(log.xmat[rows, TRUNK]),
-        "p_world_sole": log.site[rows][:, _SOLE_SITES],
-        "foot_force": force.reshape(-1, 2, 4, 3).sum(axis=2),
-        "corner_force": force[..., 2].reshape(-1, 2, 4),
-        "zmp_world": _zmps(log, rows),
-        "switch": (gap <= np.asarray(faults.delta_z)) & (np.asarray(faults.stuck_open) < 0.5),
-        "torque": log.torque[ticks].reshape(-1, 2, 6),
-        "qpos": log.qpos[ticks],
-    }
-    return Sample(**{name: _device(value) for name, value in fields.items()}, targets=pilot.asked(ticks)[1])
-
-
-def _device(value: Any) -> Array:
+def _device(value: np.ndarray) -> Array:
     """As JAX holds it: its default float type, if it is a float."""
     return jnp.asarray(value, jnp.result_type(float) if value.dtype.kind == "f" else None)

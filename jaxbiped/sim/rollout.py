@@ -4,6 +4,7 @@ A control tick is `control_every` physics ticks under one servo reference, then 
 the controller and inverse kinematics. Everything here is one robot in one scenario; batches are made outside by vmap.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +18,7 @@ from jaxbiped import checked, runtime
 from jaxbiped.adapt import Controller, ControllerState, Sensed
 from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import joint_angles
-from jaxbiped.planner import Targets, TaskSpace, at
+from jaxbiped.planner import Targets, TaskSpace, at, is_concrete
 from jaxbiped.robot import RobotParams
 from jaxbiped.sim import (
     equilibrium,
@@ -36,6 +37,7 @@ from jaxbiped.sim.plant import PAYLOAD_MODELS, Plant
 from jaxbiped.sim.scenario import Scenario, require_clear_start
 from jaxbiped.sim.sensors import Delay, SwitchState
 from jaxbiped.sim.servo import Reference
+from jaxbiped.sim.stability import require_stable_dt
 from jaxbiped.sim.statistics import Statistics
 
 DURATION = Quantity("s", 0.0, 3600.0, above=True)
@@ -95,6 +97,8 @@ class Physics(eqx.Module):
     integral: Float[Array, "2 6"]
     """Integral of the servos' position errors [rad s]."""
     switches: SwitchState
+    pressed: Float[Array, "2 4"]
+    """Normal force at every sole corner in the last tick, which friction goes by [N]."""
     statistics: Statistics
 
 
@@ -162,6 +166,9 @@ def rollout(
     duration = DURATION.check("duration", duration)
     options = options or Options()
     require_clear_start(robot, controller.gait, scenario.terrain)
+    if is_concrete(scenario):
+        gains = float(jnp.max(scenario.errors.gain_scale))
+        require_stable_dt(robot, options.dt, float(scenario.ground.sinkage), gains)
     model = base_model(robot, scenario, options)
     return _compiled(robot, model, controller, scenario, float(duration), options)
 
@@ -254,7 +261,7 @@ def _start(world: Plant, controller: Controller, torque: FeedForward, options: O
     reference = servo_reference(world.robot, targets, torque)[0]
     qpos = equilibrium.standing(world, targets.position, reference)
     qvel = jnp.zeros(mjx_adapter.NV, qpos.dtype)
-    body = plant.body_motion(world, qpos, qvel, jnp.zeros((), qpos.dtype), 1e-3)
+    body = plant.motion_at_rest(world, qpos)
     touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, body)
     physics = Physics(
         tick=jnp.zeros((), jnp.int32),
@@ -262,6 +269,7 @@ def _start(world: Plant, controller: Controller, torque: FeedForward, options: O
         qvel=qvel,
         integral=jnp.zeros((2, 6), qpos.dtype),
         switches=sensors.init_switches(touch.gap, world.scenario.sensors),
+        pressed=ground.normal_force(touch),
         statistics=statistics.init(body),
     )
     zmp = sensors.centre_of_pressure(touch, body.p_world_trunk[:2])
@@ -313,7 +321,8 @@ def _sense(
     faults = world.scenario.sensors
     sensed = sensors.sense(body, touch, physics.qpos, physics.qvel, physics.switches, zmp, time, faults)
     if options.noise:
-        sensed = sensors.add_noise(sensed, faults, physics.tick)
+        every, dt = options.control_every, options.control_dt
+        sensed = sensors.add_noise(world.robot, sensed, touch.p_world_corner, faults, physics.tick, every, dt)
     if options.delay_room == 0:
         return sensed, None
     delay = Delay.filled(sensed, options.delay_room) if delay is None else delay
@@ -342,14 +351,17 @@ def _physics_ticks(
 def _physics_tick(
     world: Plant, dt: float, reference: Reference, state: Physics
 ) -> tuple[Physics, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
-    """Forces at the start of the tick, then semi-implicit Euler; servo damping and friction at its end."""
+    """Semi-implicit Euler; what is stiff in ground, stops and servos acts with the velocity of the end of the tick."""
     time = state.tick * dt
+    robot, scenario = world.robot, world.scenario
     body = plant.body_motion(world, state.qpos, state.qvel, time, dt)
-    touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, body)
-    torque, damping = plant.servo_torque(world, reference, state.qpos, state.qvel, state.integral)
+    before = ground.contact(robot, scenario.ground, scenario.terrain, body, state.pressed, dt)
+    by_servo, torque, damping = plant.joint_torque(
+        world, reference, state.qpos, state.qvel, state.integral, dt
+    )
     forces = plant.Forces(
         body=body,
-        contact=touch,
+        contact=before,
         torque=torque,
         damping=damping,
         push=plant.push_force(world, body, time, dt),
@@ -358,16 +370,19 @@ def _physics_tick(
         armature=world.model.dof_armature,
         dt=dt,
     )
-    qvel = state.qvel + dt * plant.acceleration(forces)
+    change = dt * plant.acceleration(forces)
+    touch = dataclasses.replace(before, force=ground.force_after(body, before, change))
+    qvel = state.qvel + change
     new = Physics(
         tick=state.tick + 1,
         qpos=mjx_adapter.integrate(world.model, state.qpos, qvel, dt),
         qvel=qvel,
         integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
-        switches=sensors.read_switches(state.switches, touch.gap, time, dt, world.scenario.sensors),
+        switches=sensors.read_switches(state.switches, touch.gap, time, dt, scenario.sensors),
+        pressed=ground.normal_force(touch),
         statistics=statistics.update(state.statistics, body, touch, time + dt, dt),
     )
-    return _frozen(state.statistics.status != statistics.OK, state, new), (body, touch, torque)
+    return _frozen(state.statistics.status != statistics.OK, state, new), (body, touch, by_servo)
 
 
 def _frozen(stop: Bool[Array, ""], old: Any, new: Any) -> Any:

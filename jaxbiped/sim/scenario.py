@@ -30,14 +30,15 @@ _FORCE = Quantity("N", -5000.0, 5000.0)
 RANGES: dict[str, Quantity] = {
     "load_kg": Quantity("kg", 0.0, 200.0),
     "load_time_s": _TIME,
+    "load_end_s": _TIME,
     "load_x_m": Quantity("m", -1.0, 1.0),
     "load_y_m": Quantity("m", -1.0, 1.0),
     "load_z_m": Quantity("m", -1.0, 2.0),
     "load_size_m": Quantity("m", 0.01, 1.0),
     "friction": Quantity("", 0.01, 5.0),
     "sinkage_m": Quantity("m", 5e-5, 5e-3),
-    "damping_s_per_m": Quantity("s/m", 0.0, 50.0),
-    "slip_speed_m_per_s": Quantity("m/s", 1e-3, 0.1),
+    "damping_s_per_m": Quantity("s/m", 0.0, 1000.0),
+    "slip_speed_m_per_s": Quantity("m/s", 1e-5, 0.1),
     "trunk_mass_scale": Quantity("", 0.5, 2.0),
     "leg_mass_scale": Quantity("", 0.5, 2.0),
     "com_x_m": Quantity("m", -0.1, 0.1),
@@ -75,16 +76,32 @@ class Terrain(eqx.Module):
 
 
 class Payload(eqx.Module):
-    """A load suddenly attached to the trunk, at rest relative to it."""
+    """A load on the trunk from `time` to `end`, put on and taken off suddenly, at rest relative to the trunk.
+
+    A load at time 0 is carried from the start: the robot settles with it, it is own weight, and nothing happens until
+    it is taken off.
+    """
 
     mass: Scalar = eqx.field(converter=_array)
     """[kg]; 0 for none."""
     time: Scalar = eqx.field(converter=_array)
-    """When it is attached [s] since the start of the walk."""
+    """When it is attached [s] since the start of the walk; 0 for one that is carried from the start."""
     place: Float[Array, "*batch 3"] = eqx.field(converter=_array)
     """Its centre in the pelvis frame [m]."""
     size: Scalar = eqx.field(converter=_array)
     """Edge of the cube [m]."""
+    end: Scalar = eqx.field(converter=_array, default=NEVER)
+    """When it is taken off [s]; NEVER for one that stays."""
+
+    def share(self, time: Scalar, dt: float) -> Scalar:
+        """For which part of the tick from `time` on [s] the load is attached, 0 to 1."""
+        on, off = (jnp.clip((time + dt - event) / dt, 0.0, 1.0) for event in (self.time, self.end))
+        return on - off
+
+    @property
+    def is_carried(self) -> Array:
+        """Whether the robot settles with the load: one at time 0."""
+        return self.time <= 0.0
 
 
 class Push(eqx.Module):
@@ -169,7 +186,7 @@ class Scenario(eqx.Module):
             terrain=Terrain(jnp.zeros((n, 2)), jnp.zeros((n, 2)), jnp.zeros(n)),
             payload=Payload(mass=0.0, time=NEVER, place=(0.2, 0.0, 0.25), size=0.2),
             push=Push(force=(0.0, 0.0, 0.0), start=NEVER, length=0.0),
-            ground=Ground(sinkage=3e-4, damping=10.0, friction=0.8, slip_speed=0.01),
+            ground=Ground(sinkage=1.2e-4, damping=250.0, friction=0.8, slip_speed=1e-4),
             errors=ModelErrors(jnp.ones(13), jnp.zeros(3), jnp.ones((2, 6))),
             sensors=SensorFaults(
                 delta_z=jnp.full((2, 4), 0.01),
@@ -240,15 +257,26 @@ class Scenario(eqx.Module):
         if (used & (low < upper).all(axis=-1) & (lower < high).all(axis=-1)).any():
             raise Refusal(f"step {step}: got an obstacle that overlaps another one, allowed: obstacles apart")
 
-    def with_payload(self, mass: Any, time: Any) -> "Scenario":
-        """Attach a load [kg] to the front of the trunk at a time [s] since the start of the walk.
+    def with_payload(self, mass: Any, time: Any, end: Any = NEVER) -> "Scenario":
+        """Attach a load to the front of the trunk.
+
+        Args:
+            mass: [kg].
+            time: when, since the start of the walk [s]; with 0 the robot settles with the load, as with own weight.
+            end: when it is taken off [s].
 
         Raises:
-            ValueError: if a number is out of range.
+            ValueError: if a number is out of range, or the load is taken off before it is put on.
         """
         mass = RANGES["load_kg"].check("payload mass", mass)
         time = RANGES["load_time_s"].check("payload time", time)
-        return eqx.tree_at(lambda s: (s.payload.mass, s.payload.time), self, (_array(mass), _array(time)))
+        end = RANGES["load_end_s"].check("payload end", end)
+        if is_concrete(time, end) and time >= end and end < NEVER:
+            raise Refusal(
+                f"payload end: got {float(end):g} s, allowed: > {float(time):g} s, when it is put on"
+            )
+        new = (_array(mass), _array(time), _array(end))
+        return eqx.tree_at(lambda s: (s.payload.mass, s.payload.time, s.payload.end), self, new)
 
     def with_push(self, force: Any, start: Any, length: Any) -> "Scenario":
         """Push the trunk with a force (3,) [N] from `start` for `length` [s].

@@ -1,17 +1,27 @@
 """From the simulated world to `Sensed`: what the robot's own sensors would say."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt import Sensed
+from jaxbiped.kinematics import pose
+from jaxbiped.kinematics.rotation import about_x, about_y
+from jaxbiped.robot import RobotParams
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.scenario import SensorFaults
 
 BOUNCE_PERIOD = 1e-3
 """For how long a bouncing switch stays open or closed [s]."""
+LOADED = 1.0
+"""Sum of the vertical forces above which they have a centre [N]."""
+_FEET = np.array([6, 12])
+"""Numbers of the feet among the links."""
 
 
 class SwitchState(eqx.Module):
@@ -59,7 +69,7 @@ def centre_of_pressure(contact: Contact, otherwise: Float[Array, "2"]) -> Float[
     """Centre of the vertical forces at the corners, seen from above [m]; `otherwise` while nothing is loaded."""
     weight = contact.force[..., 2]
     total = weight.sum()
-    loaded = total > 1.0
+    loaded = total > LOADED
     moment = jnp.einsum("fc,fci->i", weight, contact.p_world_corner[..., :2])
     return jnp.where(loaded, moment / jnp.where(loaded, total, 1.0), otherwise)
 
@@ -99,19 +109,100 @@ def sense(
     )
 
 
-def add_noise(sensed: Sensed, faults: SensorFaults, tick: Int[Array, ""]) -> Sensed:
-    """Gaussian noise on forces and angles, by the scenario's seed and the tick."""
+class _Noise(eqx.Module):
+    """Errors of one reading."""
+
+    force: Float[Array, "2 4"]
+    """[N]"""
+    angle: Float[Array, "2 6"]
+    """[rad]"""
+    roll_pitch: Float[Array, "2"]
+    """[rad]"""
+
+
+def _draw_noise(faults: SensorFaults, tick: Int[Array, ""], dtype: Any) -> _Noise:
     keys = jax.random.split(jax.random.fold_in(jax.random.key(faults.seed), tick), 3)
+    return _Noise(
+        force=faults.force_noise * jax.random.normal(keys[0], (2, 4), dtype),
+        angle=faults.angle_noise * jax.random.normal(keys[1], (2, 6), dtype),
+        roll_pitch=faults.angle_noise * jax.random.normal(keys[2], (2,), dtype),
+    )
+
+
+def add_noise(
+    robot: RobotParams,
+    sensed: Sensed,
+    p_world_corner: Float[Array, "2 4 3"],
+    faults: SensorFaults,
+    tick: Int[Array, ""],
+    every: int,
+    control_dt: float,
+) -> Sensed:
+    """Put Gaussian noise on forces and angles, and on all that a robot computes of them; by seed and tick.
+
+    What is measured: the vertical force at every sole corner, every joint angle, roll and pitch. What follows:
+
+        zmp_world       centre of the noisy forces at the true corners
+        zmp_body        centre of the noisy forces at the corners where noisy joint angles, roll and pitch put them
+        ankle_wrench    that of the noisy forces, in the true foot axes
+        speed           the noisy angles' change since the last reading, over `control_dt`
+
+    `rate` is a gyroscope's and has no noise, nor has a switch. While nothing is loaded the ZMP stays as it is.
+
+    Args:
+        robot: as the planner knows it.
+        sensed: readings without noise.
+        p_world_corner: sole corners at which the forces act [m].
+        faults: sizes of the noise, and its seed.
+        tick: physics tick of this reading.
+        every: physics ticks between two readings.
+        control_dt: time between two readings [s].
+    """
     dtype = sensed.angle.dtype
+    noise, before = (_draw_noise(faults, at, dtype) for at in (tick, tick - every))
+    force = sensed.corner_force + noise.force
+    angle, roll_pitch = sensed.angle + noise.angle, sensed.roll_pitch + noise.roll_pitch
+    corner, rot_foot = _feet_from_pelvis(robot, sensed.angle, sensed.roll_pitch)
+    moved = _feet_from_pelvis(robot, angle, roll_pitch)[0] - corner
+    moved = jnp.where(faults.angle_noise > 0.0, moved, 0.0)[..., :2]
+
+    total = force.sum()
+    loaded = (sensed.corner_force.sum() > LOADED) & (total > LOADED)
+    scale = jnp.where(loaded, 1.0 / jnp.where(loaded, total, 1.0), 0.0)
+
+    def shift(corner: Float[Array, "2 4 2"], zmp: Float[Array, "2"]) -> Float[Array, "2"]:
+        """By how much the centre of all forces moves with the noisy ones."""
+        return scale * jnp.einsum("fc,fci->i", noise.force, corner - zmp)
+
+    up = rot_foot[:, 2]  # the world's vertical in foot axes
+    arm = robot.p_sole_corner.at[..., 2].add(-robot.ankle_height)
+    moment = jnp.einsum("fc,fci->fi", noise.force, jnp.cross(arm, up[:, None]))
+    wrench = jnp.concatenate([noise.force.sum(axis=1)[:, None] * up, moment], axis=1)
     return eqx.tree_at(
-        lambda s: (s.corner_force, s.angle, s.roll_pitch),
+        lambda s: (s.corner_force, s.ankle_wrench, s.angle, s.speed, s.roll_pitch, s.zmp_world, s.zmp_body),
         sensed,
         (
-            sensed.corner_force + faults.force_noise * jax.random.normal(keys[0], (2, 4), dtype),
-            sensed.angle + faults.angle_noise * jax.random.normal(keys[1], (2, 6), dtype),
-            sensed.roll_pitch + faults.angle_noise * jax.random.normal(keys[2], (2,), dtype),
+            force,
+            sensed.ankle_wrench + wrench,
+            angle,
+            sensed.speed + (noise.angle - before.angle) / control_dt,
+            roll_pitch,
+            sensed.zmp_world + shift(p_world_corner[..., :2], sensed.zmp_world),
+            sensed.zmp_body
+            + shift(corner[..., :2], sensed.zmp_body)
+            + scale * jnp.einsum("fc,fci->i", force, moved),
         ),
     )
+
+
+def _feet_from_pelvis(
+    robot: RobotParams, angle: Float[Array, "2 6"], roll_pitch: Float[Array, "2"]
+) -> tuple[Float[Array, "2 4 3"], Float[Array, "2 3 3"]]:
+    """Sole corners seen from the pelvis [m] and orientation of the feet, heading axes."""
+    tilt = about_y(roll_pitch[1]) @ about_x(roll_pitch[0])
+    feet = pose(robot, jnp.zeros(3, angle.dtype), tilt, angle)
+    rotation = feet.rot_world_link[_FEET]
+    return feet.p_world_sole[:, None] + jnp.einsum("fij,fcj->fci", rotation, robot.p_sole_corner), rotation
 
 
 class Delay(eqx.Module):

@@ -36,8 +36,8 @@ def torque(
 ) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"]]:
     """Joint torques [N m] and the damping [N m s/rad] the integrator owes them.
 
-    Beyond the torque limit the torque is constant and has no damping. Beyond the speed limit the motor cannot push any
-    further: the torque that would speed the joint up fades out over a tenth of the limit.
+    The torque levels off smoothly below its limit (`saturated`), and the damping with it. Beyond the speed limit the
+    motor cannot push any further: the torque that would speed the joint up fades out over a tenth of the limit.
     """
     wanted_speed = jnp.clip(reference.speed, -servo.speed_limit, servo.speed_limit)
     free = (
@@ -46,7 +46,19 @@ def torque(
         + servo.ki * integral
         + reference.feed_forward
     )
-    limited = jnp.clip(free, -servo.torque_limit, servo.torque_limit)
+    limited, share = saturated(free, servo.torque_limit)
     left = jnp.clip(11.0 - 10.0 * jnp.abs(speed) / servo.speed_limit, 0.0, 1.0)
     applied = jnp.where(limited * speed > 0.0, left * limited, limited)
-    return applied, jnp.where(jnp.abs(free) < servo.torque_limit, servo.kv, 0.0)
+    return applied, share * servo.kv
+
+
+def saturated(
+    torque: Float[Array, "*n"], limit: Float[Array, "*n"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """Torque that a motor gives when it is asked for one [N m], and its derivative by that; nowhere is there a kink.
+
+    x / (1 + x^16)^(1/16) of the limit: at three quarters of it all but 0.06 % of what is asked, at the limit 96 %.
+    """
+    asked = jnp.clip(torque / limit, -100.0, 100.0)  # far beyond, where powers overflow
+    root = (1.0 + asked**16) ** (-1.0 / 16.0)
+    return limit * asked * root, root**17

@@ -55,13 +55,17 @@ class Statistics(eqx.Module):
     support_time: Float[Array, ""]
     """When there was any ground force last [s]."""
     touch_time: Float[Array, "2"]
-    """When each foot was loaded last [s]; -1 at the start."""
+    """When each foot was loaded last, interpolated inside the tick [s]; -1 at the start."""
     touch_impulse: Float[Array, "2"]
     """Integral of the vertical force over the touchdown of each foot so far [N s]."""
     anchor: Float[Array, "2 2"]
-    """Where each foot was when it was loaded last [m]."""
+    """Where each foot was when it was loaded last, interpolated likewise [m]."""
     loaded: Bool[Array, "2"]
     """Whether each foot is loaded."""
+    foot_force: Float[Array, "2"]
+    """Vertical force on each foot in the last tick [N]."""
+    p_world_foot: Float[Array, "2 2"]
+    """Where each foot was at the start of it, seen from above [m]."""
     out_of_reach_time: Float[Array, ""]
     """For how long the targets were beyond the legs' reach or joint ranges [s]."""
     p_world_trunk: Float[Array, "3"]
@@ -88,6 +92,8 @@ def init(body: BodyMotion) -> Statistics:
         touch_impulse=jnp.zeros(2, zero.dtype),
         anchor=body.p_world_foot[:, :2],
         loaded=jnp.ones(2, bool),
+        foot_force=jnp.zeros(2, zero.dtype),
+        p_world_foot=body.p_world_foot[:, :2],
         out_of_reach_time=zero,
         p_world_trunk=body.p_world_trunk,
         pelvis_height=body.p_world_trunk[2] - body.p_world_foot[:, 2].min(),
@@ -101,11 +107,18 @@ def update(
     vertical = contact.force[..., 2].sum(axis=1)
     loaded = vertical > LOADED
     landed = loaded & ~stats.loaded
-    place = body.p_world_foot[:, :2]
-    anchor = jnp.where(landed[:, None], place, stats.anchor)
-    touch_time = jnp.where(landed, time, stats.touch_time)
-    force = jnp.where((touch_time >= 0.0) & (time - touch_time < TOUCHDOWN), vertical, 0.0)
-    impulse = jnp.where(landed, 0.0, stats.touch_impulse) + dt * force
+    place, before = body.p_world_foot[:, :2], stats.foot_force
+    share = jnp.where(landed, (LOADED - before) / jnp.where(landed, vertical - before, 1.0), 1.0)
+    crossed = stats.p_world_foot + share[:, None] * (place - stats.p_world_foot)
+    anchor = jnp.where(landed[:, None], crossed, stats.anchor)
+    touch_time = jnp.where(landed, time - dt * (1.0 - share), stats.touch_time)
+    # What of the tick lies within the touchdown: from the touch on, and not beyond its end.
+    within = jnp.clip(
+        (touch_time + TOUCHDOWN - time) / dt + 1.0, 0.0, jnp.minimum(1.0, (time - touch_time) / dt)
+    )
+    within = jnp.where(touch_time >= 0.0, within, 0.0)
+    force = jnp.where(within > 0.0, vertical, 0.0)
+    impulse = jnp.where(landed, 0.0, stats.touch_impulse) + dt * within * vertical
     slip = jnp.where(loaded, jnp.sqrt(jnp.sum((place - anchor) ** 2, axis=1) + 1e-18), 0.0)
     tilt = jnp.abs(roll_pitch_yaw(body.rot_world_trunk)[:2])
     low = body.p_world_trunk[2] - body.p_world_foot[:, 2].min() < FALL_HEIGHT * stats.pelvis_height
@@ -129,6 +142,8 @@ def update(
         touch_impulse=impulse,
         anchor=anchor,
         loaded=loaded,
+        foot_force=vertical,
+        p_world_foot=place,
         out_of_reach_time=stats.out_of_reach_time,
         p_world_trunk=body.p_world_trunk,
         pelvis_height=stats.pelvis_height,

@@ -18,7 +18,8 @@ def arm_file(tuned: Tuned, start: Mapping[str, Mapping[str, Any]], made_by: str)
         made_by: command that made it.
     """
     problem, settings = tuned.problem, tuned.settings
-    new = tunables.as_tables(problem.controller, problem.tunables, tuned.values.tolist())
+    found = problem.tunables
+    new = tunables.as_tables(problem.experiment.robot, problem.controller, found, tuned.values.tolist())
     lines = [f"# Tuned by: {made_by}", ""]
     for name in dict.fromkeys([*start, *new]):
         table = {**start.get(name, {}), **new.get(name, {})}

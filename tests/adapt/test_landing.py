@@ -23,7 +23,7 @@ from landing_transcription import (
 from jaxbiped import planner, robot
 from jaxbiped.adapt import Controller, Landing, Sensed
 from jaxbiped.adapt.blends import longest_time_to_rest
-from jaxbiped.adapt.landing import LandingStage, _descent, _longest_set_down, nominal_T_mod
+from jaxbiped.adapt.landing import SMALLEST_T_MOD, LandingStage, _descent, _longest_set_down, nominal_T_mod
 
 DT = 0.002
 N_STEPS = 6
@@ -37,14 +37,14 @@ def sole_and_pelvis(targets):
 
 
 @partial(jax.jit, static_argnums=2)
-def walk(controller, heights, ticks):
+def walk(controller, heights, ticks, delta_z=DELTA_Z):
     """Step the controller over ground of a height per step: commands, plan, switches, phases, misses."""
 
     def tick(carry, i):
         state, before, closed_at = carry
         time = i * DT
         phase = controller.gait.phase(time)
-        close = before[:, 2] <= heights[phase.step] + DELTA_Z
+        close = before[:, 2] <= heights[phase.step] + delta_z
         swings = jnp.arange(2) == phase.swing
         closed = close & swings & (phase.time_since_liftoff > 0.0)
         closed_at = jnp.where(closed, jnp.minimum(closed_at, time), jnp.inf)
@@ -96,6 +96,42 @@ def test_derivative_of_nominal_T_mod(x64, gait):
     ) / (2 * step)
     assert float(slope) == pytest.approx(float(secant), rel=1e-6)
     assert float(slope) > 1.0
+
+
+def test_switches_that_close_on_the_ground_need_no_time_to_set_down(gait):
+    """In both precisions: the foot is stopped at once, and no derivative is infinite there."""
+    for exact in (True, False):
+        with jax.enable_x64(exact):
+            plan = planner.PolynomialGait.preset(robot.load("surena3"), N_STEPS)
+            for delta_z in (0.0, 1e-9):
+                T_mod, slope = jax.jvp(partial(nominal_T_mod, plan), (jnp.asarray(delta_z),), (jnp.ones(()),))
+                assert float(T_mod) == pytest.approx(SMALLEST_T_MOD) and float(slope) == 0.0
+            times = [float(nominal_T_mod(plan, jnp.asarray(dz))) for dz in (1e-6, 1e-5, 1e-4, 1e-3, 5e-3)]
+            assert times == sorted(times) and times[0] > SMALLEST_T_MOD
+
+
+@pytest.mark.parametrize("make", [Landing.repaired, Landing.paper])
+def test_landing_on_time_alone_is_finite_and_as_with_nearly_no_gap(x64, gait, make):
+    """Switches and stage at 0 m, ground of 0, +2 and -2 cm: commands and their derivatives, beside those for 0.1 mm."""
+    heights, ticks = heights_of(step2=0.02, step4=-0.02), ticks_of(gait)
+
+    def commands(delta_z, speed):
+        params = make(delta_z=delta_z, descent_speed=speed)
+        bodies, *_, missed = walk(Controller(gait, landing=params), heights, ticks, delta_z)
+        return bodies, missed
+
+    zero, speed = jnp.zeros(()), jnp.asarray(0.2)
+    on_time, missed = commands(zero, speed)
+    nearly, _ = commands(jnp.asarray(1e-4), speed)
+    assert int(missed) == 0 and np.isfinite(np.asarray(on_time)).all()
+    place = np.asarray(on_time)[:, 0]
+    np.testing.assert_allclose(place, np.asarray(nearly)[:, 0], atol=4e-3)
+    # Pushed no further into the ground than the time it takes to stop the foot: v SMALLEST_T_MOD / 5 with v < 1 m/s.
+    phase_heights = np.asarray(heights)
+    assert place[:, :2, 2].min() > phase_heights.min() - 2e-3
+    for tangent in ((jnp.ones(()), zero), (zero, jnp.ones(()))):
+        _, (slope, _) = jax.jvp(commands, (zero, speed), tangent)
+        assert np.isfinite(np.asarray(slope)).all() and np.abs(np.asarray(slope[:, 0])).max() < 1e3
 
 
 def test_T_star_never_undershoots_and_is_tight(x64):
@@ -265,5 +301,6 @@ def test_random_ground_is_met_as_in_the_transcription(x64, gait, arm, repairs, s
 
 @pytest.mark.parametrize("name", ["delta_z", "T_mod", "descent_speed", "max_descent", "release_share"])
 def test_what_cannot_be_meant_is_refused(name):
-    with pytest.raises(ValueError, match=rf"^{name}: got -1( s| m| m/s)?, allowed: > 0 and <= "):
+    least = ">= 0" if name == "delta_z" else "> 0"
+    with pytest.raises(ValueError, match=rf"^{name}: got -1( s| m| m/s)?, allowed: {least} and <= "):
         Landing.repaired(**{name: jnp.asarray(-1.0)})

@@ -10,7 +10,8 @@ import pytest
 from jaxbiped import robot
 from jaxbiped.adapt import Controller, Landing, PayloadReflex, tunables
 from jaxbiped.adapt.tunables import TUNABLES
-from jaxbiped.planner import PolynomialGait
+from jaxbiped.commands.choices import load_arm
+from jaxbiped.planner import GaitError, PolynomialGait, StartStop, violations
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +95,11 @@ def test_a_stage_that_is_not_there_cannot_be_tuned(made):
 
 
 def test_tables_of_a_file(made):
-    _, controller = made
+    biped, controller = made
     found = tunables.find(
         ["payload.x_left_left_swings", "payload.settling_time", "landing.T_mod"], controller
     )
-    tables = tunables.as_tables(controller, found, [0.02, 3.0, 0.1])
+    tables = tunables.as_tables(biped, controller, found, [0.02, 3.0, 0.1])
     assert tables["landing"] == {"T_mod": 0.1} and tables["payload"]["settling_time"] == 3.0
     wanted = np.array(controller.payload.params.x_reflex, float)
     wanted[0, 0] = 0.02
@@ -106,8 +107,63 @@ def test_tables_of_a_file(made):
 
 
 def test_what_was_read_off_another_plan_is_written_down(made):
-    _, controller = made
+    biped, controller = made
     found = tunables.find(["gait.x_s"], controller)
-    tables = tunables.as_tables(controller, found, [0.05])
+    tables = tunables.as_tables(biped, controller, found, [0.05])
     assert tables["gait"] == {"x_s": 0.05}
     assert tables["payload"]["threshold"] == pytest.approx(float(controller.payload.params.threshold))
+
+
+ENDS = [f"gait.start_stop.{name}" for name in StartStop.__dataclass_fields__]
+
+
+def test_every_number_of_start_and_stop_can_be_tuned(made):
+    """Each moves the pelvis at some time, and only it changes among the parameters."""
+    biped, controller = made
+    found = tunables.find(ENDS, controller)
+    old = np.asarray(tunables.values(controller, found), float)
+    np.testing.assert_array_equal(old, [float(v) for v in vars(controller.gait.params.start_stop).values()])
+    assert [t.unit for t in found] == ["m"] * 8 + ["m/s"] * 2
+    assert all(t.low < value < t.high and t.stage == "gait" for t, value in zip(found, old, strict=True))
+    times = jnp.linspace(0.0, float(controller.gait.duration), 200)
+
+    @jax.jit
+    def pelvis(values):
+        gait, _ = tunables.with_values(biped, controller, found, values)
+        return jax.vmap(lambda t: gait.task(t).pelvis)(times), gait.params
+
+    before, params = pelvis(jnp.asarray(old))
+    for i, t in enumerate(found):
+        after, other = pelvis(jnp.asarray(old).at[i].set(t.high))
+        assert np.abs(after - before)[:, 0].max() > 1e-4 and np.all(after[:, 1:] == before[:, 1:]), t.name
+        different = [
+            float(a) != float(b) for a, b in zip(*map(jax.tree.leaves, (params, other)), strict=True)
+        ]
+        assert sum(different) == 1
+        assert float(getattr(other.start_stop, t.field.split(".")[1])) == pytest.approx(t.high)
+
+
+def test_start_and_stop_in_the_tables_of_a_file_and_back(made, tmp_path):
+    biped, controller = made
+    found = tunables.find(["gait.start_stop.x_rest_start", "gait.H_max"], controller)
+    tables = tunables.as_tables(biped, controller, found, [-0.02, 0.09])
+    assert tables["gait"] == {"start_stop.x_rest_start": -0.02, "H_max": 0.09}
+    file = tmp_path / "tuned.toml"
+    file.write_text("[gait]\n" + "".join(f"{name} = {value}\n" for name, value in tables["gait"].items()))
+    gait = load_arm("--arm", file, biped, controller.gait).gait
+    assert float(gait.params.start_stop.x_rest_start) == pytest.approx(-0.02)
+    assert float(gait.params.H_max) == pytest.approx(0.09)
+
+
+def test_a_tuned_plan_that_breaks_a_constraint_is_let_through_and_says_so(made):
+    """A descent may pass through such plans, and end at one."""
+    biped, controller = made
+    found = tunables.find(["gait.y_d"], controller)
+    tuned = tunables.apply(biped, controller, found, jnp.array([0.1]))
+    assert [v.constraint for v in violations(biped, tuned.gait)] == ["ZMP"]
+    assert tunables.as_tables(biped, controller, found, [0.1])["gait"] == {
+        "y_d": 0.1,
+        "allow_infeasible": True,
+    }
+    with pytest.raises(GaitError, match="outside the support polygon"):
+        tunables.other_gait(biped, controller.gait, {"y_d": 0.1})

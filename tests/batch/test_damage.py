@@ -279,6 +279,10 @@ def test_folders_of_version_0_1_still_open(name):
     one, rows = batch.open_table(OLD / name, said.append)
     assert said == [] and rows.height == one.rows
     assert rows.equals(pl.read_parquet(OLD / name / store.TABLE))
+    assert set(one.table.columns) - set(rows.columns) == {
+        "load_end_s"
+    }  # an input that came later, by default
+    assert set(one.table["load_end_s"]) == {batch.NEVER}
     assert "jaxbiped." not in json.dumps(one.resolved)  # names of records, no places in the code
 
 

@@ -7,7 +7,19 @@ import pytest
 
 from jaxbiped import adapt, planner, robot, sim
 from jaxbiped.adapt import tunables
-from jaxbiped.batch import INPUTS, Experiment, grid, height_column, inputs, scenarios_of
+from jaxbiped.batch import (
+    INPUTS,
+    Choice,
+    Experiment,
+    Uniform,
+    draw,
+    grid,
+    height_column,
+    inputs,
+    scenarios_of,
+    summary,
+)
+from jaxbiped.sim.model import CORNER_NAMES
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +44,7 @@ def test_defaults_are_the_flat_scenario():
 WHERE = {
     "load_kg": lambda s: s.payload.mass,
     "load_time_s": lambda s: s.payload.time,
+    "load_end_s": lambda s: s.payload.end,
     "load_x_m": lambda s: s.payload.place[0],
     "load_y_m": lambda s: s.payload.place[1],
     "load_z_m": lambda s: s.payload.place[2],
@@ -72,6 +85,49 @@ def test_every_column_has_its_place_and_touches_nothing_else(name):
     assert sum(changed) == 1
 
 
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("corner", [0, 1, 2, 3])
+def test_a_switch_may_be_stuck_and_have_a_gap_of_its_own(side, corner):
+    name = f"switch_{robot.SIDE_NAMES[side]}_{CORNER_NAMES[corner]}"
+    stuck, gap = np.zeros((2, 4)), np.full((2, 4), np.float32(0.02))
+    stuck[side, corner] = 1.0
+    got = one_row(**{f"{name}_stuck": 1, "delta_z_m": 0.02}).sensors
+    np.testing.assert_array_equal(got.stuck_open, stuck)
+    np.testing.assert_array_equal(got.delta_z, gap)
+    gap[side, corner] = 0.003
+    got = one_row(**{f"{name}_gap_m": 0.003, "delta_z_m": 0.02}).sensors
+    np.testing.assert_array_equal(got.stuck_open, np.zeros((2, 4)))
+    np.testing.assert_array_equal(got.delta_z, gap)
+
+
+def test_columns_of_switches_are_drawn_kept_and_told_from_outcomes():
+    drawn = draw(
+        8, 3, switch_left_toe_left_stuck=Choice((0, 1)), switch_right_heel_left_gap_m=Uniform(0.0, 0.02)
+    )
+    table = inputs.complete(drawn, 0)
+    assert table.columns == [*INPUTS, *drawn.columns, "seed"] == inputs.complete(table, 1).columns
+    assert table.select(drawn.columns).equals(drawn)
+    assert summary.inputs(table.with_columns(peak_roll_deg=0.1)) == [*INPUTS, *drawn.columns]
+    batch = scenarios_of(table, [])
+    np.testing.assert_array_equal(batch.sensors.stuck_open[:, 0, 0], drawn["switch_left_toe_left_stuck"])
+    gaps = drawn["switch_right_heel_left_gap_m"].to_numpy().astype(np.float32)
+    np.testing.assert_array_equal(batch.sensors.delta_z[:, 1, 2], gaps)
+
+
+def test_how_often_the_weight_changes():
+    for row, changes in (
+        ({"load_kg": 0.0, "load_time_s": 2.0, "load_end_s": 3.0}, 0),
+        ({"load_kg": 5.0}, 0),
+        ({"load_kg": 5.0, "load_time_s": 0.0}, 0),
+        ({"load_kg": 5.0, "load_time_s": 0.0, "load_end_s": 3.0}, 1),
+        ({"load_kg": 5.0, "load_time_s": 2.0}, 1),
+        ({"load_kg": 5.0, "load_time_s": 2.0, "load_end_s": 3.0}, 2),
+    ):
+        assert inputs.changes_of_weight(inputs.complete(pl.DataFrame([row]), 0)) == changes
+    both = pl.DataFrame({"load_kg": [5.0, 5.0], "load_time_s": [2.0, 0.0]})
+    assert inputs.changes_of_weight(inputs.complete(both, 0)) == 1
+
+
 def test_pads_lie_where_with_obstacle_puts_them(surena):
     params, gait = surena
     table = pl.DataFrame({height_column(2): [0.03, 0.0], height_column(3): [0.0, -0.02]})
@@ -101,6 +157,25 @@ BAD_TABLES = [
     ({"load_kg": [1e9]}, "allowed: >= 0 and <= 200 kg"),
     ({"load_kg": ["five"]}, "allowed: numbers"),
     ({"load_time_s": [-0.1]}, "load_time_s"),
+    (
+        {"load_kg": [0.0, 1.0], "load_time_s": [2.0, 2.0], "load_end_s": [1.0, 1.5]},
+        "load_end_s, row 1: got 1.5 s, allowed: > load_time_s, 2 s",
+    ),
+    (
+        {"load_kg": [1.0], "load_time_s": [0.0], "load_end_s": [0.0]},
+        "load_end_s, row 0: got 0 s, allowed: > ",
+    ),
+    (
+        {"switch_left_toe_left_stuck": [0.0, 0.5]},
+        "switch_left_toe_left_stuck, row 1: got 0.5, allowed: 0 or 1",
+    ),
+    (
+        {"switch_left_toe_left_stuck": [2.0]},
+        "switch_left_toe_left_stuck, row 0: got 2, allowed: >= 0 and <= 1",
+    ),
+    ({"switch_left_toe_left_gap_m": [-0.01]}, "switch_left_toe_left_gap_m, row 0: got -0.01 m"),
+    ({"switch_left_toe_left_gap_m": [10.0]}, "10 mm is 0.01 m"),
+    ({"switch_left_toe_stuck": [1.0]}, "did you mean 'switch_left_toe_left_stuck'"),
     ({"friction": [0.0]}, "friction, row 0: got 0"),
     ({"friction": [float("inf")]}, "friction, row 0: got inf"),
     ({"sinkage_m": [0.0]}, "sinkage_m"),

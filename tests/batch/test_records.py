@@ -88,6 +88,12 @@ def test_what_a_version_had_not_yet_it_has_by_default():
     back = records.from_json(data)
     assert jax.tree.structure(back) == jax.tree.structure(landing)
     assert float(back.max_descent) == float(landing.max_descent) and back.max_descent.dtype == jnp.float32
+    flat = sim.Scenario.flat()
+    data = records.to_json(flat)
+    del data["payload"]["end"]
+    back = records.from_json(data)
+    assert jax.tree.structure(back) == jax.tree.structure(flat)
+    assert float(back.payload.end) == float(flat.payload.end) == 1e6
 
 
 def test_names_of_records_are_no_places_in_the_code():

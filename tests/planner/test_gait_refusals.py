@@ -21,7 +21,7 @@ from jaxbiped.planner import (
     cosine_params,
     polynomial_params,
 )
-from jaxbiped.planner.checks import require_reach
+from jaxbiped.planner.constraints import require_reach
 from jaxbiped.planner.targets import Timing, step_phase
 from jaxbiped.robot import LEFT
 

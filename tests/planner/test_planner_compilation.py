@@ -9,7 +9,15 @@ import pytest
 import surena3_gaits
 
 from jaxbiped import robot
-from jaxbiped.planner import CosineGait, PolynomialGait, at, cosine_params, feasibility, sample_times
+from jaxbiped.planner import (
+    CosineGait,
+    PolynomialGait,
+    at,
+    cosine_params,
+    feasibility,
+    sample_times,
+    violations,
+)
 
 
 @pytest.fixture
@@ -39,7 +47,8 @@ def test_no_parameter_of_gait_or_robot_recompiles(case, compilations):
     biped = robot.load(name)
 
     def everything(biped, params):
-        gait = kind.make(biped, params, 8)
+        gait = kind.make(biped, params, 8, allow_infeasible=True)
+        violations(biped, gait)  # as `make` does where it is not told to allow them
         times = sample_times(gait, 150)
         return jax.block_until_ready((feasibility(biped, gait, times).zmp, _at(gait, times).position.pelvis))
 
@@ -57,6 +66,22 @@ def test_no_parameter_of_gait_or_robot_recompiles(case, compilations):
     effect = [np.abs(np.asarray(other) - np.asarray(zmp)).max() for other in moved]
     assert np.all(effect)
     assert min(effect[-2:]) > 1e-3
-    gait = kind.make(biped, params(), 8)
+    gait = kind.make(biped, params(), 8, allow_infeasible=True)
     _at(gait, sample_times(gait, 149))
     assert len(compilations) > warm  # the listener listens
+
+
+def test_one_program_judges_every_gait_of_every_robot(compilations):
+    """Another number of steps, kind of gait or robot compiles what plans, not what judges."""
+
+    def judge(kind, name, n_steps):
+        biped = robot.load(name)
+        gait = kind.preset(biped, n_steps)
+        jax.block_until_ready(_at(gait, sample_times(gait, 10)))
+        before = len(compilations)
+        violations(biped, gait)
+        return len(compilations) - before
+
+    judge(PolynomialGait, "surena3", 2)
+    others = [(CosineGait, "surena3", 2), (PolynomialGait, "elkahlout", 3), (CosineGait, "elkahlout", 1)]
+    assert [judge(*other) for other in others] == [0, 0, 0]

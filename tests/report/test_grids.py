@@ -4,6 +4,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -374,6 +375,25 @@ def test_limits_stand_at_their_values(table):
             [x for x, y in drawn if np.isfinite(y)], wanted["load_time_s"] - T_INI, atol=1e-6
         )
         np.testing.assert_array_equal([y for _, y in drawn if np.isfinite(y)], wanted["load_kg"])
+
+
+def test_bars_of_limits_are_their_intervals():
+    """30 walks at each load: what is sure, and what is too much; an open end runs to the panel's edge."""
+    wins = {1.0: {2.0: 30, 4.0: 30, 6.0: 16, 8.0: 2}, 2.0: {2.0: 30, 4.0: 15, 6.0: 15, 8.0: 15}}
+    rows = [
+        {"arm": "a", "load_time_s": t, "load_kg": load, "success": i < n}
+        for t, cell in wins.items()
+        for load, n in cell.items()
+        for i in range(30)
+    ]
+    limits = summary.frontier(pl.DataFrame(rows), levels=(0.5,))
+    (axes,) = grids.frontier_figure(limits, "Loads").axes
+    (found,) = axes.collections
+    bars: Any = found
+    top = axes.get_ylim()[1]
+    ends = [np.asarray(line)[:, 1].tolist() for line in bars.get_segments()]
+    assert ends == [[4.0, 8.0], [2.0, pytest.approx(top)]]
+    assert [np.asarray(line)[0, 0] for line in bars.get_segments()] == [1.0, 2.0]
 
 
 def test_ticks_of_a_map_are_plain_numbers():

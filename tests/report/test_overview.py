@@ -202,6 +202,31 @@ def test_where_nothing_compares_one_line_says_so():
     assert overview.agreement_in_words("modified", agreed).endswith("no cell of it was run")
 
 
+def test_limits_stand_beside_how_sure_they_are():
+    """Twelve walks at each load: 12, 12, 6 and 0 succeed; rates of 76, 25 and 0 % at least, 75 and 24 % at most."""
+    table = pl.concat([loads(2.0, 4.0, 6.0, 8.0, times=(0.3,))] * 12)
+    one = experiment(table, ("off",))
+    kg = one.table["load_kg"].to_numpy()
+    success = [bool(load < 6.0 or (load == 6.0 and i < 24)) for i, load in enumerate(kg)]
+    part = section(overview.sections(one, results(one, success=success)), "Loads")
+    (limits,) = [each for each in part.tables if isinstance(each, pl.DataFrame)]
+    assert limits.select("level", "limit", "sure", "too much").rows() == [
+        (0.95, "4 kg", "–", "6 kg"),
+        (0.5, "6 kg", "4 kg", "8 kg"),
+    ]
+    assert "Wilson" in words(part) and page.page("Loads", [part])
+    part = section(overview.sections(one, results(one)), "Loads")  # all succeed: nothing is too much
+    (limits,) = [each for each in part.tables if isinstance(each, pl.DataFrame)]
+    assert limits.select("level", "limit", "sure", "too much").rows() == [(0.5, "8 kg", "8 kg", "–")]
+
+
+def test_limits_of_single_walks_are_not_said_to_be_sure():
+    one = experiment(loads(2.0, 4.0, times=(0.3, 0.4)), ("off",))
+    part = section(overview.sections(one, results(one)), "Loads")
+    assert "Too few walks at each value" in words(part)
+    assert all(isinstance(text, str) for text in part.tables)
+
+
 def test_another_robot_has_nothing_to_do_with_the_thesis():
     preset = robot.load("elkahlout")
     other = eqx.tree_at(lambda p: p.height, preset, preset.height + 0.1)

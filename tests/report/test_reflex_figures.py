@@ -139,6 +139,7 @@ def test_events_are_in_time_and_by_kind():
     assert (load, trigger) == ([2.4], [TRIGGERED])
     assert stages == [SETTLED, 5.5, 6.2, 6.6]
     assert list(report.payload_events(None, [FELL]).values()) == [[], [TRIGGERED], []]
+    assert list(report.payload_events(2.4, [], 5.0).values()) == [[2.4, 5.0], [], []]
 
 
 def test_references_are_the_commands_in_the_body_frame(trace):

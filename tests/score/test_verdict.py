@@ -12,6 +12,7 @@ from jaxbiped import robot, score, sim
 from jaxbiped.adapt import Controller, ControllerState, Landing, PayloadReflex
 from jaxbiped.adapt.payload import REFLEX, SETTLE, WALK
 from jaxbiped.planner import CosineGait
+from jaxbiped.score.verdict import STANDS_FOR
 from jaxbiped.sim.statistics import AIRBORNE, FELL, NONFINITE, OK
 
 END = 16.8
@@ -68,8 +69,8 @@ def after_reflex(
     return ControllerState(jnp.array(plan_time), reflex, state.landing)
 
 
-def flat(mass: float = 0.0, time: float = 1e6) -> sim.Scenario:
-    return sim.Scenario.flat(1).with_payload(mass, time)
+def flat(mass: float = 0.0, time: float = 1e6, end: float = 1e6) -> sim.Scenario:
+    return sim.Scenario.flat(1).with_payload(mass, time, end)
 
 
 def judged(walk: sim.Walk, gait: CosineGait, scenario: sim.Scenario) -> tuple[int, float]:
@@ -83,9 +84,9 @@ def judged(walk: sim.Walk, gait: CosineGait, scenario: sim.Scenario) -> tuple[in
 @pytest.mark.parametrize("status", [FELL, NONFINITE, AIRBORNE])
 def test_what_the_robot_did_after_its_success_stands_in_its_status(gait, status):
     """By elkahlout's rule the walk is a success after two whole steps, and the robot came to grief all the same."""
-    verdict = score.judge(walk(16.0, status), gait, flat(2.5, 0.0))
+    verdict = score.judge(walk(16.0, status), gait, flat(2.5, 0.1))
     assert bool(verdict.success) and int(verdict.status) == status
-    verdict = score.judge(walk(3.0, status), gait, flat(2.5, 0.0))
+    verdict = score.judge(walk(3.0, status), gait, flat(2.5, 0.1))
     assert not bool(verdict.success) and int(verdict.status) == status
 
 
@@ -102,7 +103,9 @@ def test_what_the_robot_did_after_its_success_stands_in_its_status(gait, status)
     ],
 )
 @pytest.mark.parametrize(
-    "scenario", [flat(), flat(0.0, 2.4), flat(5.0, 20.0)], ids=["flat", "0 kg", "too late"]
+    "scenario",
+    [flat(), flat(0.0, 2.4), flat(0.0, 2.4, 5.0), flat(5.0, 20.0), flat(40.0, 0.0), flat(5.0, 0.0, 20.0)],
+    ids=["flat", "0 kg", "0 kg taken off", "too late", "carried from the start", "taken off too late"],
 )
 def test_without_a_load_the_walk_must_be_finished(gait, end, status, expected, scenario):
     assert judged(walk(end, status), gait, scenario) == (expected, pytest.approx(END))
@@ -113,7 +116,7 @@ def test_without_a_load_the_walk_must_be_finished(gait, end, status, expected, s
 @pytest.mark.parametrize(
     ("load", "until"),
     [
-        (0.0, 6.5),  # before the first step: steps 0 and 1 are whole
+        (0.0005, 6.5),  # before the first step: steps 0 and 1 are whole
         (1.6, 6.5),
         (1.8, 8.9),  # in the single support of step 0
         (3.3, 8.9),  # in its double support
@@ -128,6 +131,46 @@ def test_without_a_reflex_two_whole_steps_after_the_step_of_the_loading(gait, lo
     assert judged(walk(until - 0.1), gait, scenario) == (UNFINISHED, pytest.approx(until))
     assert judged(walk(until + 0.1, FELL), gait, scenario) == (OK, pytest.approx(until))
     assert judged(walk(17.3), gait, scenario) == (OK, pytest.approx(until))
+
+
+@pytest.mark.parametrize(
+    ("load", "end", "until"),
+    [
+        (0.0, 0.0005, 6.5),
+        (0.0, 1.8, 8.9),  # carried from the start: what counts is that it is taken off
+        (1.8, 4.2, 11.3),
+        (1.8, 8.8, 13.7),
+        (1.8, 17.2, 8.9),  # not within the walk: the robot fell or stood by then
+    ],
+)
+def test_taking_a_load_off_is_a_loading_and_the_last_one_counts(gait, load, end, until):
+    scenario = flat(2.5, load, end)
+    assert judged(walk(until - 0.1, FELL), gait, scenario) == (FELL, pytest.approx(until))
+    assert judged(walk(until + 0.1, FELL), gait, scenario) == (OK, pytest.approx(until))
+    assert judged(walk(17.1), gait, scenario) == (OK, pytest.approx(until))
+
+
+def test_a_fall_before_the_load_is_taken_off_is_judged_by_when_it_was_put_on(gait):
+    for end, expected in ((8.8, FELL), (9.0, OK)):
+        assert judged(walk(end, FELL), gait, flat(2.5, 1.8, 10.0)) == (expected, pytest.approx(8.9))
+
+
+def test_a_load_taken_off_after_a_reflex_is_judged_by_the_step_it_is_taken_off_in(gait, controller):
+    """As the load at 12 s below; one taken off while the reflex lasts is part of what it recovers from."""
+    one = walk(18.0, OK, after_reflex(controller, 18.0))
+    assert judged(one, gait, flat(2.5, 2.4, 12.0)) == (OK, pytest.approx(11.3 + 6.255, abs=1e-5))
+    until = 9.855 + 8.9 - 3.6
+    assert judged(one, gait, flat(2.5, 2.4, 5.0)) == (OK, pytest.approx(until, abs=1e-5))
+
+
+def test_watched_for_a_recovery_from_every_change_the_reflex_reacts_to(gait, controller):
+    robot_, plan = robot.load("elkahlout"), END + STANDS_FOR
+    again = Controller(gait, payload=PayloadReflex.repaired(robot_, gait))
+    for one, most in ((Controller(gait), 0), (controller, 1), (again, 2)):
+        delay = one.longest_delay()
+        for changes in (0, 1, 2):
+            wanted = plan + min(changes, most) * delay
+            assert score.watch_time(one, changes) == pytest.approx(wanted, abs=1e-5)
 
 
 def test_a_load_too_late_for_two_whole_steps_is_unfinished_and_yet_finished(gait):

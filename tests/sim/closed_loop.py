@@ -48,17 +48,21 @@ def setup(name: str, n_steps: int = N_STEPS, **options: Any) -> Setup:
 
 
 def standing(one: Setup) -> Any:
-    """A gait of the same kind that does not begin to walk before FOREVER has passed, nor go anywhere then."""
+    """A gait of the same kind that does not begin to walk before FOREVER has passed, nor go anywhere then.
+
+    Its later steps, which are never taken, would tip the robot over.
+    """
     if isinstance(one.gait, CosineGait):
         p = changed(cosine_params(one.params.name), T_ini=FOREVER, w=0.0, b_s=0.0)
-        return CosineGait.make(one.params, p, one.gait.n_steps)
+        return CosineGait.make(one.params, p, one.gait.n_steps, allow_infeasible=True)
     p = polynomial_params(one.params.name)
     x, z = float(p.start_stop.x_rest_start), float(p.z_min)
     ends = {f: -x if f.startswith("x_s_") else x for f in StartStop.__dataclass_fields__}
     ends = StartStop(**{**ends, "v_first": 0.0, "v_last": 0.0})
     half = 0.5 * float(p.L_p)
     p = changed(p, T_ini=FOREVER, D_s=0.0, x_s=-x, x_e=x, y_d=half, y_m=half, z_max=z)
-    return PolynomialGait.make(one.params, eqx.tree_at(lambda p: p.start_stop, p, ends), one.gait.n_steps)
+    p = eqx.tree_at(lambda p: p.start_stop, p, ends)
+    return PolynomialGait.make(one.params, p, one.gait.n_steps, allow_infeasible=True)
 
 
 def changed(record: Any, **values: Any) -> Any:

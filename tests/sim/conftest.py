@@ -13,8 +13,11 @@ from jaxbiped.sim.statistics import Statistics
 
 LIFT = (0.0, 0.0, 5000.0)
 """Six times the robot's weight, upward [N]."""
-SHOVE, LEAN = (0.0, 300.0, 0.0), (20.0, 10.0, 0.0)
+SHOVE, LEAN = (0.0, 300.0, 0.0), (36.0, 18.0, 0.0)
 """Forces [N] that topple a walking robot, and that a standing one must bear."""
+
+CARRIED = (1.0, 0.0, 3.0)
+"""A load [kg] from the start on that is taken off again [s]."""
 
 
 class Walks(NamedTuple):
@@ -30,7 +33,17 @@ class Walks(NamedTuple):
         return lane(self.batch.statistics, LANES.index(name))
 
 
-LANES = ("walk", "without feed-forward", "stand", "topple", "stand and bear", "no gain", "carried off", "hop")
+LANES = (
+    "walk",
+    "without feed-forward",
+    "stand",
+    "topple",
+    "stand and bear",
+    "no gain",
+    "carried off",
+    "hop",
+    "carry",
+)
 
 
 @pytest.fixture(scope="session", params=["surena3", "elkahlout"])
@@ -47,5 +60,6 @@ def walks(request: pytest.FixtureRequest) -> Walks:
         (one.gait, eqx.tree_at(lambda s: s.errors.gain_scale, flat, broken)),
         (still, flat.with_push(LIFT, 1.0, 8.0)),
         (still, flat.with_push(LIFT, 1.0, 0.03)),
+        (still, flat.with_payload(*CARRIED)),
     ]
     return Walks(one, run(one, cases, [name != "without feed-forward" for name in LANES]))

@@ -26,6 +26,7 @@ from c_mujoco import (
 from jaxbiped import robot
 from jaxbiped.sim import ground, mjx_adapter, plant
 from jaxbiped.sim.model import CORNER_NAMES
+from jaxbiped.sim.scenario import NEVER
 
 STATES = 1000
 FEET = {"left": mjx_adapter.LEFT_FOOT, "right": mjx_adapter.RIGHT_FOOT}
@@ -163,17 +164,30 @@ def test_ground_force_in_joint_space(pressed):
         close(plant.contact_force(body, touch), wanted)
 
 
-def test_friction_damping_in_joint_space(pressed):
+def test_damping_of_the_ground_in_joint_space(pressed):
+    """By the Jacobian of every corner; over an edge too, where the normal is not upright."""
     model, found = pressed
+    rng = np.random.default_rng(5)
     for data, body, touch in found:
+        slope = rng.normal(loc=(0.0, 0.0, 2.0), size=(2, 4, 3))
+        touch = eqx.tree_at(
+            lambda t: (t.gradient, t.normal_damping),
+            touch,
+            as_arrays(slope, rng.uniform(0.0, 1e3, (2, 4))),
+        )
         wanted = np.zeros((NV, NV))
         for side, foot in enumerate(FEET.values()):
             for corner in range(4):
                 jacobian = np.zeros((3, NV))
                 point = np.asarray(touch.p_world_corner[side, corner], float)
                 mujoco.mj_jac(model, data, jacobian, None, point, foot)
-                wanted += float(touch.drag[side, corner]) * jacobian[:2].T @ jacobian[:2]
-        found, expected = ground.drag_matrix(body, touch), mjx_adapter.blocks(jnp.asarray(wanted))
+                normal = slope[side, corner] / np.linalg.norm(slope[side, corner])
+                across = float(touch.drag[side, corner]) * (np.eye(3) - np.outer(normal, normal))
+                along = float(touch.normal_damping[side, corner]) * np.outer(
+                    slope[side, corner], slope[side, corner]
+                )
+                wanted += jacobian.T @ (across + along) @ jacobian
+        found, expected = ground.damping_matrix(body, touch), mjx_adapter.blocks(jnp.asarray(wanted))
         for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
             close(ours, theirs)
 
@@ -186,6 +200,9 @@ def test_push_acts_on_the_centre_of_mass_of_the_trunk_for_its_share_of_the_tick(
     dt = 1e-3
     for time, share in ((0.5, 0.0), (0.9996, 0.6), (1.05, 1.0), (1.0998, 0.2), (1.2, 0.0)):
         close(plant.push_force(world, body, jnp.asarray(time), dt), share * wanted, 1e-9)
+
+
+at_rest = eqx.filter_jit(plant.motion_at_rest)
 
 
 @eqx.filter_jit
@@ -207,9 +224,9 @@ def test_integration_of_positions(moving):
 LOAD = {"mass": 12.0, "place": (0.21, 0.03, 0.25), "size": 0.3}
 
 
-def loaded_plant(params, ours, payload_model, time=1.0):
+def loaded_plant(params, ours, payload_model, time=1.0, end=NEVER):
     scene = eqx.tree_at(
-        lambda s: s.payload.place, flat().with_payload(LOAD["mass"], time), as_arrays(LOAD["place"])[0]
+        lambda s: s.payload.place, flat().with_payload(LOAD["mass"], time, end), as_arrays(LOAD["place"])[0]
     )
     scene = eqx.tree_at(lambda s: s.payload.size, scene, as_arrays(LOAD["size"])[0])
     return plant.make_plant(params, ours, scene, payload_model)
@@ -240,6 +257,48 @@ def test_payload_attached_inside_a_tick_counts_for_the_rest_of_it(moving):
     wanted = forward(quarter, data.qpos, data.qvel)
     close(body.mass_matrix, mass_matrix(quarter, wanted), 1e-9)
     close(body.bias, wanted.qfrc_bias, 1e-9)
+
+
+@pytest.mark.parametrize("model", plant.PAYLOAD_MODELS)
+def test_load_counts_for_its_share_of_every_tick(moving, model):
+    """Put on at 1.00075 s and taken off at 1.01025 s, in ticks of 1 ms; the other one within one tick."""
+    params, _, ours, cases = moving
+    data, _ = cases[0]
+    state = as_arrays(data.qpos, data.qvel)
+    world = loaded_plant(params, ours, model, 1.00075, 1.01025)
+    always, never = loaded_plant(params, ours, model, 0.0), loaded_plant(params, ours, model, 5.0)
+    brief = loaded_plant(params, ours, model, 1.0002, 1.0007)
+    late = {"time": jnp.asarray(2.0), "dt": 1e-3}
+    trunk = [float(motion_at(one, *state, **late).link_inertia[0, -1]) for one in (never, always)]
+    for one, time, share in (
+        (world, 0.9, 0.0),
+        (world, 1.0, 0.25),
+        (world, 1.001, 1.0),
+        (world, 1.009, 1.0),
+        (world, 1.01, 0.25),
+        (world, 1.011, 0.0),
+        (world, 30.0, 0.0),
+        (brief, 1.0, 0.5),
+        (brief, 1.001, 0.0),
+    ):
+        body = motion_at(one, *state, time=jnp.asarray(time), dt=1e-3)
+        got = float(body.link_inertia[0, -1])
+        assert got == pytest.approx(trunk[0] + share * (trunk[1] - trunk[0]), abs=1e-9), time
+    assert trunk[1] - trunk[0] == pytest.approx(LOAD["mass"])
+
+
+def test_the_robot_settles_with_a_load_at_0_and_without_one_that_comes_later(moving):
+    params, _, ours, cases = moving
+    qpos = as_arrays(cases[0][0].qpos)[0]
+    model = with_cube(params, **LOAD)
+    wanted = forward(model, cases[0][0].qpos, np.zeros(18))
+    body = at_rest(loaded_plant(params, ours, plant.EXACT, 0.0, 1.0), qpos)
+    close(body.mass_matrix, mass_matrix(model, wanted))
+    close(body.bias, wanted.qfrc_bias)
+    bare = at_rest(loaded_plant(params, ours, plant.EXACT, 5.0), qpos)
+    for time in (1e-6, 1e-4):  # within the first tick of any kind
+        soon = at_rest(loaded_plant(params, ours, plant.EXACT, time), qpos)
+        np.testing.assert_array_equal(soon.mass_matrix, bare.mass_matrix)
 
 
 def test_thesis_payload_is_equations_3_8_to_3_10(moving):

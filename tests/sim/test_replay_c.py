@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import importlib
 from typing import Any
 
 import equinox as eqx
@@ -13,12 +12,13 @@ import pytest
 from closed_loop import STANDS_FOR, setup
 
 from jaxbiped.adapt import Controller
-from jaxbiped.sim import Options, Scenario, ground
-from jaxbiped.sim.mjx_adapter import TRUNK
-from jaxbiped.sim.replay_c import build_world, level_boxes, open_loop_references, replay_c
+from jaxbiped.sim import Options, Scenario, c_world, ground
+from jaxbiped.sim.c_world import BOX, SPHERES, STIFF, build_world, level_boxes
+from jaxbiped.sim.mjx_adapter import LEFT_FOOT, RIGHT_FOOT, TRUNK
+from jaxbiped.sim.model import build_spec
+from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.statistics import FELL, OK
 
-host = importlib.import_module("jaxbiped.sim.replay_c")  # the name in the package is the function
 FLAT = Scenario.flat()
 
 
@@ -39,10 +39,16 @@ class Case:
         self.duration = float(one.gait.duration) + STANDS_FOR
         self.references = open_loop_references(self.params, self.controller, self.duration, self.options)
 
-    def walk(self, scenario: Scenario = FLAT, duration: float | None = None, **options: Any):
+    def walk(
+        self,
+        scenario: Scenario = FLAT,
+        duration: float | None = None,
+        contact: str = SPHERES,
+        **options: Any,
+    ):
         chosen = dataclasses.replace(self.options, **options)
         duration = duration or self.duration
-        return replay_c(self.params, self.controller, scenario, duration, chosen, self.references)
+        return replay_c(self.params, self.controller, scenario, duration, chosen, self.references, contact)
 
 
 @pytest.fixture(scope="module", params=["elkahlout", pytest.param("surena3", marks=pytest.mark.slow)])
@@ -84,24 +90,48 @@ def test_walks_upright_and_stops(case, flat):
     assert flat.trace.targets.time.shape == flat.trace.time.shape
 
 
-def test_forces_of_the_sensors_are_those_of_the_contacts():
-    """On level ground and on the edge of a box, where normals lean."""
+def forces_at_an_edge(contact: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str], np.ndarray]:
+    """A robot on the edge of a box, where normals lean: forces at the corners and where these are; then of every
+    contact its force on the foot, the foot's geom and its place, all as MuJoCo has them."""
     case = Case("elkahlout")
     scenario = FLAT.with_rectangle((-0.2, -0.3), (0.131, 0.0), 0.002)
-    model = build_world(case.params, scenario, 5e-4)
+    model = build_world(case.params, scenario, 5e-4, contact)
     data, force = mujoco.MjData(model), np.zeros(6)
     data.qvel[0] = 0.3
     for _ in range(100):
         mujoco.mj_step(model, data)
-    wanted = {name: np.zeros(3) for name in host.CORNERS}
+    sole, turn = data.site_xpos[[0, 5]], data.xmat.reshape(-1, 3, 3)[[LEFT_FOOT, RIGHT_FOOT]]
+    found = c_world.corner_forces(case.params, contact, data.sensordata[None], sole[None], turn[None])[0]
+    geoms, forces = [], []
     for i in range(data.ncon):
-        contact = data.contact[i]
+        pair = data.contact[i]
         mujoco.mj_contactForce(model, data, i, force)
-        one, other = (model.geom(int(g)).name for g in (contact.geom1, contact.geom2))
-        sign, name = (1.0, other) if other in wanted else (-1.0, one)
-        wanted[name] += sign * contact.frame.reshape(3, 3).T @ force[:3]
-    np.testing.assert_allclose(-data.sensordata.reshape(8, 3), list(wanted.values()), atol=1e-9)
-    assert len(data.contact) > 0
+        one, other = (model.geom(int(g)).name for g in (pair.geom1, pair.geom2))
+        second = other.startswith(("left", "right"))
+        geoms.append(other if second else one)
+        forces.append((1.0 if second else -1.0) * pair.frame.reshape(3, 3).T @ force[:3])
+    assert len(geoms) > 0
+    return found, data.site_xpos[[1, 2, 3, 4, 6, 7, 8, 9]], np.array(forces), geoms, data.contact.pos
+
+
+@pytest.mark.parametrize("contact", [SPHERES, STIFF])
+def test_forces_of_the_sensors_are_those_of_the_contacts(contact):
+    found, _, forces, geoms, _ = forces_at_an_edge(contact)
+    wanted = {name: np.zeros(3) for name in c_world.CORNERS}
+    for name, force in zip(geoms, forces, strict=True):
+        wanted[name] += force
+    np.testing.assert_allclose(found, list(wanted.values()), atol=1e-9)
+
+
+def test_forces_of_a_box_have_the_sum_and_the_centre_of_the_contacts():
+    found, corner, forces, geoms, place = forces_at_an_edge(BOX)
+    for foot, side in enumerate(("left", "right")):
+        mine, own = [g == f"{side}_box" for g in geoms], slice(4 * foot, 4 * foot + 4)
+        assert any(mine)
+        np.testing.assert_allclose(found[own].sum(axis=0), forces[mine].sum(axis=0), atol=1e-9)
+        np.testing.assert_allclose(
+            found[own, 2] @ corner[own, :2], forces[mine, 2] @ place[mine, :2], rtol=1e-3, atol=1e-2
+        )
 
 
 @pytest.mark.slow
@@ -142,13 +172,36 @@ def test_load_weighs_from_its_time_on(case, model):
     assert force[time > 0.3].mean() == pytest.approx(case.weight + 2.0 * 9.81, abs=0.01 * case.weight)
 
 
+@pytest.mark.parametrize("model", ["exact", "thesis"])
+def test_load_that_is_carried_from_the_start_weighs_until_it_is_taken_off(case, model):
+    walk = case.walk(FLAT.with_payload(2.0, 0.0, 0.1), duration=0.4, payload_model=model)
+    time = np.asarray(walk.trace.time)
+    force = np.asarray(walk.trace.foot_force)[..., 2].sum(axis=1)
+    loaded = case.weight + 2.0 * 9.81
+    np.testing.assert_allclose(force[time < 0.1], loaded, rtol=0.01)  # settled with it: nothing drops
+    assert force[time > 0.3].mean() == pytest.approx(case.weight, abs=0.01 * case.weight)
+
+
+def test_a_load_that_is_taken_off_leaves_the_model_as_it_was():
+    model = build_world(Case("elkahlout").params, FLAT, 5e-4)
+    before, data = c_world.without_load(model), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    bare = data.qfrc_bias.copy()
+    c_world.attach(model, FLAT.with_payload(7.0, 0.0).payload, "exact")
+    mujoco.mj_forward(model, data)
+    assert not np.allclose(data.qfrc_bias, bare)
+    c_world.detach(model, before)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_array_equal(data.qfrc_bias, bare)
+
+
 def test_attached_cube_is_a_welded_cube():
     """Against a model compiled with the cube in it."""
     case = Case("elkahlout")
     load = FLAT.with_payload(7.0, 0.0).payload
     model = build_world(case.params, FLAT, 5e-4)
-    host.attach(model, load, "exact")
-    spec = host.build_spec(case.params, 5e-4)
+    c_world.attach(model, load, "exact")
+    spec = build_spec(case.params, 5e-4)
     trunk = spec.body("trunk")
     assert trunk is not None
     cube = trunk.add_body(pos=np.asarray(load.place, float).tolist())
@@ -212,7 +265,7 @@ def test_rays_hit_the_ground_where_the_terrain_says(name):
         for x, y in point
     ]
     np.testing.assert_allclose(found, ground.height(t, jnp.asarray(point)), atol=1e-6)
-    np.testing.assert_allclose(host.heights(t, point), ground.height(t, jnp.asarray(point)), atol=1e-6)
+    np.testing.assert_allclose(c_world.heights(t, point), ground.height(t, jnp.asarray(point)), atol=1e-6)
 
 
 def test_one_box_for_a_pad_and_four_around_a_hole():
@@ -220,3 +273,43 @@ def test_one_box_for_a_pad_and_four_around_a_hole():
     base, boxes = level_boxes(TERRAINS["hole"].terrain)
     assert base == pytest.approx(-0.03)
     assert len(boxes) == 4 and all(top == 0.0 for _, _, top in boxes)
+
+
+CONTACTS = [SPHERES, BOX, STIFF]
+
+
+def test_unknown_contact_is_refused():
+    with pytest.raises(ValueError, match="contact: got 'sphere', allowed: spheres, box, stiff; did you mean"):
+        Case("elkahlout").walk(contact="sphere")
+
+
+@pytest.mark.parametrize("contact", CONTACTS)
+def test_stands_on_every_contact_at_its_height_with_its_weight(contact):
+    case = Case("elkahlout")
+    stands, usual = (case.walk(duration=0.1, contact=one).trace for one in (contact, SPHERES))
+    assert stands is not None and usual is not None
+    np.testing.assert_allclose(stands.foot_force[..., 2].sum(axis=1), case.weight, rtol=0.01)
+    np.testing.assert_allclose(stands.corner_force.sum(axis=-1), stands.foot_force[..., 2], rtol=1e-5)
+    np.testing.assert_allclose(stands.zmp_world, usual.zmp_world, atol=2e-3)
+    wanted = float(FLAT.ground.sinkage) * (0.25 if contact == STIFF else 1.0)
+    assert -np.asarray(stands.p_world_sole)[..., 2].mean() == pytest.approx(wanted, rel=0.1)
+
+
+@pytest.mark.parametrize("contact", CONTACTS)
+def test_an_edge_under_the_soles_carries(contact):
+    """Ground 1 mm higher from under the soles on: corners stand on it with the toes, a plate lies on its edge."""
+    case, edge, height = Case("elkahlout"), 0.02, 0.001
+    scenario = FLAT.with_rectangle((edge, -0.5), (1.0, 0.5), height)
+    model = build_world(case.params, scenario, 5e-4, contact)
+    data = mujoco.MjData(model)
+    data.qpos[2] += height
+    for _ in range(800):
+        mujoco.mj_step(model, data)
+    sole, turn = data.site_xpos[[0, 5]], data.xmat.reshape(-1, 3, 3)[[LEFT_FOOT, RIGHT_FOOT]]
+    force = c_world.corner_forces(case.params, contact, data.sensordata[None], sole[None], turn[None])[0]
+    assert force[:, 2].sum() == pytest.approx(case.weight, rel=0.05)  # the trunk rocks
+    assert force[[0, 1, 4, 5], 2].sum() > 0.05 * case.weight
+    toe, heel = data.site_xpos[1], data.site_xpos[3]
+    place = edge if contact == BOX else toe[0]
+    carried = heel[2] + (toe - heel)[2] * (place - heel[0]) / (toe - heel)[0]
+    assert carried == pytest.approx(height, abs=float(FLAT.ground.sinkage))

@@ -62,6 +62,7 @@ def refusal(call, *args, **named) -> str:
 CALLS = {
     "payload mass": lambda v: FLAT.with_payload(v, 1.0),
     "payload time": lambda v: FLAT.with_payload(1.0, v),
+    "payload end": lambda v: FLAT.with_payload(1.0, 0.0, v),
     "push force": lambda v: FLAT.with_push((0.0, v, 0.0), 1.0, 0.1),
     "push start": lambda v: FLAT.with_push((1.0, 0.0, 0.0), v, 0.1),
     "push length": lambda v: FLAT.with_push((1.0, 0.0, 0.0), 1.0, v),
@@ -116,6 +117,7 @@ def test_traced_numbers_are_not_judged(name):
     ("call", "words"),
     [
         (lambda: FLAT.with_payload(15000.0, 1.0), "15000 g is 15 kg"),
+        (lambda: FLAT.with_payload(1.0, 2.0, 2.0), "payload end: got 2 s, allowed: > 2 s, when it is put on"),
         (lambda: FLAT.with_payload(-1.0, 1.0), "got -1 kg, allowed: >= 0 and <= 200 kg"),
         (lambda: FLAT.with_push((1.0, 2.0), 1.0, 0.1), "3 numbers [N]"),
         (lambda: FLAT.with_push((0.0, 0.0, 9e3), 1.0, 0.1), "got 9000 N in place 3"),

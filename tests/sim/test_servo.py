@@ -64,14 +64,15 @@ def test_torque_formula(x64):
                 + ki * integral[joint]
                 + extra[joint]
             )
-            held = min(max(free, -most), most)
+            asked = 1.0 + abs(free / most) ** 16
+            held = free / asked ** (1.0 / 16.0)
             too_fast = abs(speed[joint]) / fastest
             if held * speed[joint] > 0 and too_fast > 1.0:
                 held *= max(0.0, 1.0 - (too_fast - 1.0) / 0.1)
                 faded += 1
             limited += abs(free) > most
             assert float(torque[joint]) == pytest.approx(held, rel=1e-9, abs=1e-9)
-            assert float(damping[joint]) == (kv if abs(free) < most else 0.0)
+            assert float(damping[joint]) == pytest.approx(kv * asked ** (-17.0 / 16.0), rel=1e-9)
     assert limited > 20 and faded > 5
 
 
@@ -83,7 +84,7 @@ def test_a_joint_beyond_its_speed_limit_is_braked_but_not_driven(x64):
         driven, _ = servo.torque(one, ahead, jnp.zeros(SHAPE), fast, jnp.zeros(SHAPE))
         braked, _ = servo.torque(one, ahead, jnp.full(SHAPE, 2.0), direction * fast, jnp.zeros(SHAPE))
         np.testing.assert_array_equal(driven, 0.0)
-        np.testing.assert_allclose(braked, -one.torque_limit if direction > 0 else 0.0)
+        np.testing.assert_allclose(braked, -one.torque_limit if direction > 0 else 0.0, rtol=1e-3)
 
 
 def test_torque_is_continuous_where_the_motor_fades(x64):
@@ -121,9 +122,9 @@ def fly(world, start, reference):
     return jax.lax.scan(tick, start, None, length=TICKS)[1]
 
 
-def airborne(params, stiffer, seed):
+def airborne(params, stiffer, limited, seed):
     """Our plant and C MuJoCo's model, high up, upright, moving a little."""
-    strong = params.servo.torque_limit * (1e3 if stiffer > 1.0 else 1.0)
+    strong = params.servo.torque_limit * (1.0 if limited else 1e3)
     params = eqx.tree_at(
         lambda p: (p.servo.kv, p.servo.torque_limit, p.servo.speed_limit),
         params,
@@ -137,7 +138,8 @@ def airborne(params, stiffer, seed):
     body = mjx_adapter.motion(ours, *as_arrays(qpos, qvel))
     switches = sensors.init_switches(jnp.full((2, 4), 9.0), world.scenario.sensors)
     at_rest, no_error = jnp.zeros((), jnp.int32), jnp.zeros(SHAPE)
-    state = Physics(at_rest, jnp.asarray(qpos), jnp.asarray(qvel), no_error, switches, statistics.init(body))
+    unloaded, stats = jnp.zeros((2, 4)), statistics.init(body)
+    state = Physics(at_rest, jnp.asarray(qpos), jnp.asarray(qvel), no_error, switches, unloaded, stats)
     return world, state, oracle(params, actuated=True, timestep=DT)
 
 
@@ -146,7 +148,10 @@ def airborne(params, stiffer, seed):
     ("stiffer", "step"), [(1.0, 0.002), (100.0, 0.002), (1.0, 0.3)], ids=["preset", "huge kv", "saturated"]
 )
 def test_implicit_damping_is_implicitfast(x64, name, stiffer, step):
-    world, state, model = airborne(load(name), stiffer, seed=4)
+    """To rounding; where torques are limited to a hundredth, since MuJoCo's limit has a corner and ours is round."""
+    limited = step > 0.1
+    world, state, model = airborne(load(name), stiffer, limited, seed=4)
+    place, speed = (1e-3, 0.03) if limited else (1e-9, 3e-6)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     wanted = np.asarray(state.qpos[7:]) + step * np.random.default_rng(5).choice([-1.0, 1.0], 12)
     reference = Reference(*as_arrays(wanted.reshape(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE)))
@@ -157,8 +162,8 @@ def test_implicit_damping_is_implicitfast(x64, name, stiffer, step):
     for tick in range(TICKS):
         mujoco.mj_step(model, data)
         saturated += int((np.abs(data.actuator_force) >= model.actuator_forcerange[:, 1]).any())
-        np.testing.assert_allclose(qpos[tick], data.qpos, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(qvel[tick], data.qvel, rtol=0, atol=1e-6 * np.abs(data.qvel).max())
-    assert (saturated > 5) == (step > 0.1)
+        np.testing.assert_allclose(qpos[tick], data.qpos, rtol=0, atol=place)
+        np.testing.assert_allclose(qvel[tick], data.qvel, rtol=0, atol=speed * np.abs(data.qvel).max())
+    assert (saturated > 5) == limited
     if stiffer > 1.0:  # speeds die away, they do not alternate
         assert np.abs(qvel[-1, 6:]).max() < 0.5 * np.abs(np.asarray(state.qvel[6:])).max()

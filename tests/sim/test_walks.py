@@ -61,8 +61,8 @@ def judge(one: Any, stats: Any, trace: Any, early: bool) -> None:
 
 
 def test_walk_with_feed_forward(walks):
-    early = walks.one.params.name == "elkahlout"
-    judge(walks.one, walks.statistics("walk"), walks.trace("walk"), early)
+    """A foot that comes down a few milliseconds early bears at once: the ground is hard."""
+    judge(walks.one, walks.statistics("walk"), walks.trace("walk"), True)
 
 
 def test_walk_without_feed_forward(walks):

@@ -164,7 +164,7 @@ def test_ground_forces(x64):
         earth_height = eqx.tree_at(lambda t: t.height, terrain, x["terrain"][None])
         body = level(x["z"] + biped.ankle_height, x["speed"], x["xy"], x["tilt"], x["spin"], x["sway"])
         touch = ground.contact(biped, earth, earth_height, body)
-        names = ("gap", "gap_rate", "p_world_corner", "v_world_corner", "force", "drag")
+        names = ("gap", "gap_rate", "gradient", "p_world_corner", "v_world_corner", "force", "drag")
         return {name: getattr(touch, name) for name in names}
 
     rng, n = np.random.default_rng(0), 60
@@ -219,8 +219,9 @@ def _landed(biped: Any, z0: Any, ticks: Any):
         def tick(state: Any, i: Any) -> Any:
             z, v, nearest = state
             height, speed = jnp.stack([z, z]) + biped.ankle_height, jnp.stack([v, v])
-            touch = ground.contact(biped, flat.ground, flat.terrain, level(height, speed))
-            v_new = v + TOUCH_TICK * (touch.force[..., 2].sum() / biped.total_mass - GRAVITY)
+            touch = ground.contact(biped, flat.ground, flat.terrain, level(height, speed), None, TOUCH_TICK)
+            mass = biped.total_mass + TOUCH_TICK * touch.normal_damping.sum()
+            v_new = v + TOUCH_TICK * (touch.force[..., 2].sum() - biped.total_mass * GRAVITY) / mass
             new = (z + TOUCH_TICK * v_new, v_new, jnp.minimum(nearest, jnp.abs(z)))
             return jax.tree.map(lambda a, b: jnp.where(i < ticks, a, b), new, state), None
 
@@ -250,9 +251,10 @@ def test_mass_that_lands_on_the_ground(x64):
     assert np.all(speed[0] > -0.5 * np.sqrt(2 * GRAVITY * DROPS)), "it did not land"
     smooth_there = nearest[0] > 3 * MOVED
     assert smooth_there.mean() > 0.8
-    np.testing.assert_allclose(slope[smooth_there], central[smooth_there], rtol=1e-4)
-    assert np.all(np.abs(slope) > 0.01)
-    print(f"worst difference {np.max(np.abs(slope / central - 1)[smooth_there]):.2g}")
+    largest = np.abs(slope).max()
+    np.testing.assert_allclose(slope[smooth_there], central[smooth_there], rtol=1e-4, atol=1e-4 * largest)
+    assert np.mean(np.abs(slope) > 0.01) > 0.9
+    print(f"worst difference {np.max(np.abs(slope - central)[smooth_there]) / largest:.2g}")
 
 
 # ---------------------------------------------------------------- servos
@@ -298,19 +300,22 @@ def test_torques(x64):
     for some in (beyond, ~beyond, faded, ~follows):
         assert some.sum() > 50
     by = {name: one.forward["torque"] for name, one in found.items()}
+    asked = free / at["torque_limit"]
+    far = np.abs(asked) > 2.0
+    assert far.sum() > 20
     for name in ("wanted_angle", "angle", "wanted_speed", "kp", "kv", "ki", "integral", "feed_forward"):
-        np.testing.assert_array_equal(by[name][beyond], 0.0, err_msg=name)
         inside = ~beyond & ~faded & (follows | (name != "wanted_speed"))
         assert np.all(by[name][inside] != 0.0), name
-    assert np.all(by["torque_limit"][beyond & ~faded] != 0.0)
-    np.testing.assert_array_equal(by["torque_limit"][~beyond], 0.0)
+        assert np.abs(by[name][far]).max() < 1e-4 * np.abs(by[name]).max(), name
+    limit = np.abs(by["torque_limit"])
+    assert np.all(limit[beyond & ~faded] > 0.0) and limit[np.abs(asked) < 0.5].max() < 1e-4 * limit.max()
     np.testing.assert_array_equal(by["wanted_speed"][~follows], 0.0)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_stiffness_and_damping_are_the_servo_s(x64, name):
     one = robot.load(name).servo
-    half = 0.5 * one.torque_limit / one.kp
+    little = 0.1 * one.torque_limit / one.kp
 
     @partial(jax.jit, compiler_options=NOT_OPTIMISED)
     def along(angle: Any, slope: Any) -> Any:
@@ -321,9 +326,9 @@ def test_stiffness_and_damping_are_the_servo_s(x64, name):
         return jax.jvp(torque, (angle, jnp.zeros((2, 6))), slope)[1]
 
     ones, none = jnp.ones((2, 6)), jnp.zeros((2, 6))
-    np.testing.assert_allclose(along(half, (ones, none)), one.kp, rtol=1e-12)
-    np.testing.assert_allclose(along(half, (none, ones)), one.kv, rtol=1e-12)
-    np.testing.assert_array_equal(along(3.0 * half, (ones, ones)), 0.0)
+    np.testing.assert_allclose(along(little, (ones, none)), one.kp, rtol=1e-12)
+    np.testing.assert_allclose(along(little, (none, ones)), one.kv, rtol=1e-12)
+    np.testing.assert_allclose(along(50.0 * little, (ones, ones)) / (one.kp + one.kv), 0.0, atol=1e-10)
 
 
 # ---------------------------------------------------------------- sensors
@@ -336,7 +341,8 @@ def test_centre_of_pressure(x64):
         force = jnp.zeros((2, 4, 3)).at[..., 2].set(x["force"])
         points = jnp.concatenate([x["points"], jnp.zeros((2, 4, 1))], axis=-1)
         none = jnp.zeros((2, 4))
-        touch = Contact(none, none, points, jnp.zeros((2, 4, 3)), force, none)
+        nowhere = jnp.zeros((2, 4, 3))
+        touch = Contact(none, none, nowhere, points, nowhere, force, none, none)
         return {"centre": sensors.centre_of_pressure(touch, x["otherwise"])}
 
     rng, n = np.random.default_rng(2), 20

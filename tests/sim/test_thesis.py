@@ -1,0 +1,110 @@
+"""The thesis' robot on its own floor: what no calibration looked at, and reflexes that nothing should start."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+import pytest
+
+from jaxbiped import batch, robot, runtime
+from jaxbiped.adapt import Controller, Landing, PayloadReflex
+from jaxbiped.batch import Normal, Uniform, part
+from jaxbiped.commands import choices
+from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params
+from jaxbiped.score import judge
+from jaxbiped.sim import Scenario, mjx_adapter, simulate
+from jaxbiped.sim.rollout import make_feed_forward
+
+STEPS = 5
+VARIANTS = ("original", "modified", "repaired")
+
+
+@runtime.jit
+def _walks(params: Any, model: Any, controller: Any, scenarios: Any, duration: float, options: Any) -> Any:
+    table = make_feed_forward(params, controller, duration, options)
+
+    def one(scenario: Any) -> Any:
+        walk = simulate(params, model, controller, scenario, table, duration, options)
+        return judge(walk, controller.gait, scenario), walk.statistics, walk.controller.payload
+
+    return jax.vmap(one)(scenarios)
+
+
+def thesis_walks(gait: Any, cases: list[tuple[float, float]], variant: str, duration: float) -> Any:
+    """Verdicts, statistics and reflexes of the thesis' robot under loads (kg, s on the thesis' clock)."""
+    params = robot.load("elkahlout")
+    controller = Controller(gait, payload=getattr(PayloadReflex, variant)(params, gait))
+    floor = Scenario.flat(1).with_friction(choices.floor_friction(params, gait))
+    start = choices.clock_start(gait)
+    scenarios = [floor.with_payload(load, start + at) if load else floor for load, at in cases]
+    options = choices.simulation_options(params, gait)
+    stacked = jax.tree.map(lambda *leaf: jnp.stack(leaf), *scenarios)
+    found = _walks(params, mjx_adapter.base_model(params), controller, stacked, duration, options)
+    return jax.tree.map(np.asarray, found)
+
+
+@pytest.mark.parametrize("variant", ["original", "modified"])
+def test_a_load_of_15_kg_at_1_2_s_tilts_the_trunk_as_little_as_in_the_thesis(variant):
+    """At most 2.5 degrees there; under 3 here, with one reflex, some 30 ms after the load (30.5 ms there)."""
+    gait = CosineGait.preset(robot.load("elkahlout"), STEPS)
+    verdict, stats, reflex = thesis_walks(gait, [(15.0, 1.2), (2.5, 1.2), (0.0, 0.0)], variant, 19.0)
+    assert verdict.success.all()
+    roll, pitch = np.degrees(stats.peak_roll_pitch).T
+    print(f"{variant}: pitch {pitch}, roll {roll} deg")
+    assert pitch[0] < 3.0
+    assert reflex.reflexes.tolist() == [1, 0, 0] or reflex.reflexes.tolist() == [1, 1, 0]
+    assert 0.025 < reflex.trigger_time[0] - choices.clock_start(gait) - 1.2 < 0.04
+
+
+def test_the_unloaded_robot_walks_from_the_thesis_start_in_the_middle_of_the_pattern():
+    """There the pattern begins at its full speed: here within a hundredth of a second."""
+    params = robot.load("elkahlout")
+    sudden = dataclasses.replace(cosine_params(params), T_ini=jnp.asarray(0.01))
+    gait = CosineGait.make(params, sudden, STEPS, allow_infeasible=True)
+    verdict, stats, reflex = thesis_walks(gait, [(0.0, 0.0)], "modified", float(gait.duration) + 0.5)
+    assert verdict.status.tolist() == [0] and reflex.reflexes.tolist() == [0]
+    assert np.degrees(stats.peak_roll_pitch).max() < 10.0
+
+
+def unloaded(name: str, n: int, seed: int, variants: tuple[str, ...]) -> pl.DataFrame:
+    """Walks of random robots on random floors, without a load, with every variant of the reflex."""
+    params = robot.load(name)
+    gait = {"elkahlout": CosineGait, "surena3": PolynomialGait}[name].preset(params, STEPS)
+    landing = Landing.repaired() if name == "surena3" else None
+    arms = {
+        variant: Controller(gait, landing=landing, payload=getattr(PayloadReflex, variant)(params, gait))
+        for variant in variants
+    }
+    floor = choices.floor_friction(params, gait)
+    scenarios = batch.draw(
+        n,
+        seed,
+        friction=Uniform(floor, 1.0),
+        trunk_mass_scale=Uniform(0.9, 1.1),
+        leg_mass_scale=Uniform(0.9, 1.1),
+        com_x_m=Normal(0.0, 0.003),
+        com_y_m=Normal(0.0, 0.003),
+        gain_scale=Uniform(0.9, 1.1),
+        sinkage_m=Uniform(1e-4, 2e-4),
+    )
+    options = choices.simulation_options(params, gait)
+    one = batch.Experiment(params, arms, scenarios, options, duration=float(gait.duration) + 0.5)
+    return pl.concat([part.walk_chunk(one, chunk) for chunk in one.chunks])
+
+
+@pytest.mark.parametrize("name", ["elkahlout", "surena3"])
+def test_nothing_starts_a_reflex_without_a_load(name):
+    """A few walks; a hundred of each robot and variant in the slow test."""
+    table = unloaded(name, 8, 1, ("modified",))
+    assert table["reflexes"].sum() == 0, table.filter(pl.col("reflexes") > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["elkahlout", "surena3"])
+def test_nothing_starts_a_reflex_in_a_hundred_unloaded_walks(name):
+    table = unloaded(name, 100, 2, VARIANTS)
+    assert table.height == 300
+    assert table["reflexes"].sum() == 0, table.filter(pl.col("reflexes") > 0)
