@@ -507,7 +507,7 @@ class PayloadStage(eqx.Module):
     def _advance(
         self, state: PayloadState, before: PayloadState, timing: Timing, sensed: Sensed
     ) -> PayloadState:
-        """Leave a mode whose time is over; SETTLE and HOLD, after which the motion has a speed, for the tick to come."""
+        """Leave a mode whose time is over, or is in the tick to come: SETTLE and HOLD, after which there is a speed."""
         p = self.params
         end = self._ends(state, timing)[state.mode]
         ahead = ((state.mode == SETTLE) | (state.mode == HOLD)) & p.interpolate
@@ -704,7 +704,7 @@ class PayloadStage(eqx.Module):
 
     def _feed_forward_time(self, state: PayloadState, timing: Timing, time: Scalar) -> Scalar:
         """Plan time whose joint torques suit the pose outside WALK: both feet loaded, or the step of the same foot."""
-        p, step, start = self.params, self._recovery(state, timing), self._ends(state, timing)[SHIFT]
+        step, start = self._recovery(state, timing), self._ends(state, timing)[SHIFT]
         before = self.resume_plan_time[jnp.maximum(state.next_step - 1, 0)]
         after = self.resume_plan_time[state.next_step]
         since = time - state.trigger_time
