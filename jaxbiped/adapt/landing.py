@@ -80,7 +80,7 @@ PARAMETERS: dict[str, Quantity | Flag] = {
         "Repair: a foot that has touched is carried along by the rest of the release, instead of being lifted off or "
         "pushed down by it."
     ),
-    "interpolate": Flag("Take the instant of touch from inside the tick; False: from the tick that saw it."),
+    "interpolate": Flag("Take the touch at its own instant; False: at the tick that saw it."),
 }
 """What the parameters of the landing stage are and may be."""
 _read = reader(PARAMETERS)
@@ -243,7 +243,10 @@ class LandingStage(eqx.Module):
         return jax.tree.map(lambda a, b: jnp.where(follow, a, b), followed, begun)
 
     def _watch(self, state: LandingState, nominal: Targets, sensed: Sensed) -> LandingState:
-        """Look for the first switch of the swing foot to close, from T_s / 2 (in a reflex: at once) to T_c."""
+        """Look for the first switch of the swing foot to close, from T_s / 2 (in a reflex: at once) to T_c.
+
+        A reading is older than the tick that gets it: the touch is taken at its own instant, however many ticks ago.
+        """
         phase = nominal.phase
         tau, closed = phase.time_since_liftoff, sensed.switch[phase.swing]
         in_swing = (tau >= 0.0) & (tau <= phase.T_s)
@@ -252,8 +255,7 @@ class LandingStage(eqx.Module):
         watching = (tau >= start) & (tau <= phase.T_c) & state.aloft & ~state.touched
         touched = watching & jnp.any(closed)
         since = sensed.time - jnp.min(jnp.where(closed, sensed.switch_time[phase.swing], jnp.inf))
-        earliest = jnp.maximum(state.tau, start)
-        inside = jnp.clip(tau - since, jnp.minimum(earliest, tau), tau) if self.params.interpolate else tau
+        inside = jnp.clip(tau - since, start, tau) if self.params.interpolate else tau
         landed = self._touch(state, nominal, jnp.where(touched, inside, tau))
         return jax.tree.map(lambda a, b: jnp.where(touched, a, b), landed, state)
 

@@ -125,6 +125,11 @@ PARAMETERS: dict[str, Quantity | Flag] = {
         "body, which cannot be pulled off its stance foot as fast as the other one is set down, has `body_time` to "
         "follow."
     ),
+    "smooth_ramp": Flag(
+        "The literal reflex's smooth twin, not in the thesis: feet and body take over velocity and acceleration and "
+        "are at rest after the same `reflex_time`, instead of moving at constant speeds that start and stop in a "
+        "step. Nothing to a smooth reflex."
+    ),
     "steady_recovery": Flag(
         "Repair: the recovery step takes a whole T_s, with the body over the stance foot, and the body advances after "
         "it instead of during it."
@@ -164,6 +169,7 @@ class PayloadReflex(eqx.Module):
     shift_time: Scalar = eqx.field(converter=_read("shift_time"), default=0.5)
     x_ref_gain: Scalar = eqx.field(converter=_read("x_ref_gain"), default=1.0)
     smooth_reflex: bool = eqx.field(converter=_read("smooth_reflex"), static=True, default=True)
+    smooth_ramp: bool = eqx.field(converter=_read("smooth_ramp"), static=True, default=False)
     steady_recovery: bool = eqx.field(converter=_read("steady_recovery"), static=True, default=True)
     starts_again: bool = eqx.field(converter=_read("starts_again"), static=True, default=True)
     smooth_resume: bool = eqx.field(converter=_read("smooth_resume"), static=True, default=True)
@@ -216,6 +222,8 @@ class PayloadState(eqx.Module):
     """WALK, REFLEX, SETTLE, SHIFT, RECOVER or HOLD."""
     time: Scalar
     """Of the last reading [s]; negative before the first."""
+    tick: Scalar
+    """From the reading before to the last one [s]: the tick to come is taken to be as long; 0 at the first."""
     force: Scalar
     """Low-passed sum of the vertical foot forces [N]."""
     slow_force: Scalar
@@ -227,11 +235,11 @@ class PayloadState(eqx.Module):
     reflexes: Int[Array, ""]
     """How many reflexes there have been."""
     trigger_time: Scalar
-    """Of the last reflex [s]."""
+    """When the last reflex started [s]: a control tick after the force had left the band."""
     trigger_plan_time: Scalar
-    """Plan time at the last reflex [s]."""
+    """Plan time then [s]."""
     support: Int[Array, ""]
-    """Support phase at the last reflex."""
+    """Support phase at the tick that felt the load."""
     swing: Int[Array, ""]
     """The foot that swung then, or swung last."""
     start_sole: Float[Array, "2 3"]
@@ -252,6 +260,11 @@ class PayloadState(eqx.Module):
     """Plan time then [s]."""
     world_shift: Scalar
     """How far the walk has got ahead of the plan [m]."""
+
+    def share(self, since: Scalar) -> Scalar:
+        """A time [s] as a share of a tick, within 0 and 1; 1 before there is one."""
+        ticking = self.tick > 0.0
+        return jnp.where(ticking, jnp.clip(since / jnp.where(ticking, self.tick, 1.0), 0.0, 1.0), 1.0)
 
 
 class _Recovery(eqx.Module):
@@ -313,6 +326,7 @@ class PayloadStage(eqx.Module):
         return PayloadState(
             mode=count + WALK,
             time=zero - 1.0,
+            tick=zero,
             force=zero,
             slow_force=zero,
             zmp=zero,
@@ -345,7 +359,7 @@ class PayloadStage(eqx.Module):
             shaken: whether the robot is being shaken by something the controller knows of.
         """
         state, before = self._filter(state, sensed), state
-        state = self._advance(state, before, gait.timing)
+        state = self._advance(state, before, gait.timing, sensed)
         plan = self._plan_targets(state, gait, sensed.time)
         targets = self._targets(state, plan, gait.timing, sensed.time)
         triggered, trigger_time = self._watch(state, before, shaken)
@@ -363,10 +377,11 @@ class PayloadStage(eqx.Module):
             return jnp.where(first, new, old + (1.0 - jnp.exp(-dt / time_constant)) * (new - old))
 
         return eqx.tree_at(
-            lambda s: (s.time, s.force, s.slow_force, s.zmp, s.weight),
+            lambda s: (s.time, s.tick, s.force, s.slow_force, s.zmp, s.weight),
             state,
             (
                 sensed.time,
+                jnp.where(first, 0.0, dt),
                 low_pass(state.force, force, p.force_time_constant),
                 low_pass(state.slow_force, force, p.slow_time_constant),
                 low_pass(state.zmp, zmp, p.zmp_time_constant),
@@ -377,7 +392,11 @@ class PayloadStage(eqx.Module):
     def _watch(
         self, state: PayloadState, before: PayloadState, shaken: Bool[Array, ""]
     ) -> tuple[Bool[Array, ""], Scalar]:
-        """Whether the force has left the band around the weight, and when."""
+        """Whether the force has left the band around the weight, and when the reflex to it starts.
+
+        It is felt up to a tick after it has done so. A start that is felt at once by one tick and late by the next
+        would jump by a tick where a little more load moves it on: so every one comes a tick after the crossing.
+        """
         p, walking = self.params, state.mode == WALK
         again = state.reflexes > 0
         calm = ~(again & (state.time - state.resume_time < p.rearm_time)) & ~shaken
@@ -398,11 +417,12 @@ class PayloadStage(eqx.Module):
         off_then, off = (jnp.abs(force - state.weight) - threshold for force in (then, now))
         crossed = (off_then < 0.0) & (off > 0.0)
         share = jnp.where(crossed, off_then / jnp.where(crossed, off_then - off, 1.0), 1.0)
-        share = share if self.params.interpolate else jnp.ones_like(share)
-        return off > 0.0, jnp.where(time < 0.0, state.time, time + share * (state.time - time))
+        if not self.params.interpolate:
+            return off > 0.0, state.time
+        return off > 0.0, jnp.where(time < 0.0, state.time, time + share * (state.time - time) + state.tick)
 
     def _trigger(self, state: PayloadState, targets: Targets, timing: Timing, time: Scalar) -> PayloadState:
-        """Start a reflex at `time`, from the targets as they were then (their Taylor polynomial about the tick)."""
+        """Start a reflex at `time`, from the targets as they are then (their Taylor polynomial about the tick)."""
         p, back = self.params, time - state.time
         orders = (targets.position, targets.velocity, targets.acceleration)
         sole, velocity, acceleration = (order.sole for order in orders)
@@ -458,10 +478,18 @@ class PayloadStage(eqx.Module):
     def _applied_shift(self, state: PayloadState, time: Scalar) -> Scalar:
         """Shift of x_ref at `time` [m] (Eq. 3.21)."""
         p = self.params
-        since = time - (state.trigger_time + p.reflex_time + p.settling_time)
-        share = jnp.where(state.mode <= SETTLE, 0.0, jnp.clip(since / p.shift_time, 0.0, 1.0))
+        begin = state.trigger_time + p.reflex_time + p.settling_time
+        share = jnp.where(state.mode <= SETTLE, 0.0, self._ramp(state, begin, p.shift_time, time))
         share = jnp.where(state.mode == WALK, 1.0, share)
         return state.x_shift + share * (state.x_shift_new - state.x_shift)
+
+    def _ramp(self, state: PayloadState, begin: Scalar, length: Scalar, time: Scalar) -> Scalar:
+        """From 0 at `begin` to 1 `length` later, in the tick to come.
+
+        Servos are told a speed for a whole tick: where the ramp begins or ends inside it, its mean over the tick.
+        """
+        now, then = (jnp.clip((t - begin) / length, 0.0, 1.0) for t in (state.time, state.time + state.tick))
+        return now + (time - state.time) * (then - now) / jnp.where(state.tick > 0.0, state.tick, 1.0)
 
     def _ends(self, state: PayloadState, timing: Timing) -> Float[Array, "6"]:
         """When each mode ends, by its number [s]."""
@@ -476,22 +504,33 @@ class PayloadStage(eqx.Module):
         ]
         return jnp.cumsum(jnp.stack(lengths))
 
-    def _advance(self, state: PayloadState, before: PayloadState, timing: Timing) -> PayloadState:
-        """Leave a mode whose time is over."""
+    def _advance(
+        self, state: PayloadState, before: PayloadState, timing: Timing, sensed: Sensed
+    ) -> PayloadState:
+        """Leave a mode whose time is over, or is in the tick to come: SETTLE and HOLD, after which there is a speed."""
+        p = self.params
         end = self._ends(state, timing)[state.mode]
-        leaving = _decided(jnp.where(state.time >= end, state.mode, WALK))
+        ahead = ((state.mode == SETTLE) | (state.mode == HOLD)) & p.interpolate
+        over = state.time + jnp.where(ahead, state.tick, 0.0) >= end
+        leaving = _decided(jnp.where(over, state.mode, WALK))
         stay = lambda s: s  # noqa: E731
 
         def to(mode: int) -> Any:
             return lambda s: eqx.tree_at(lambda t: t.mode, s, jnp.full_like(s.mode, mode))
 
+        def settle(s: PayloadState) -> PayloadState:
+            """The slower low-pass starts anew at the end of the reflex, free of what was before the load."""
+            share = s.share(end - before.time) if p.interpolate else jnp.ones_like(end)
+            then, total = before.force + share * (s.force - before.force), sensed.corner_force.sum()
+            rest = (1.0 - share) * s.tick
+            slow = then + (1.0 - jnp.exp(-rest / p.slow_time_constant)) * (total - then)
+            return eqx.tree_at(lambda t: (t.mode, t.slow_force), s, (jnp.full_like(s.mode, SETTLE), slow))
+
         def read(s: PayloadState) -> PayloadState:
-            """Eqs. 3.19 and 3.20, and the weight that is normal from now on."""
-            dt = s.time - before.time
-            share = jnp.clip((end - before.time) / jnp.where(dt > 0.0, dt, 1.0), 0.0, 1.0)
-            share = share if self.params.interpolate else jnp.ones_like(share)
+            """Eqs. 3.19 and 3.20, and the weight that is normal from now on; as they were a tick before the end."""
+            share = s.share(end - s.time) if p.interpolate else jnp.ones_like(end)
             zmp = before.zmp + share * (s.zmp - before.zmp)
-            wanted = self.params.x_ref_gain * (zmp - self.params.zmp_balanced)
+            wanted = p.x_ref_gain * (zmp - p.zmp_balanced)
             weight = before.slow_force + share * (s.slow_force - before.slow_force)
             values = (jnp.full_like(s.mode, SHIFT), wanted, weight)
             return eqx.tree_at(lambda t: (t.mode, t.x_shift_new, t.weight), s, values)
@@ -500,7 +539,7 @@ class PayloadStage(eqx.Module):
             stance = 1 - _foot_ahead(s.end[:, 0])
             values = (
                 jnp.full_like(s.mode, WALK),
-                end if self.params.interpolate else s.time,
+                end if p.interpolate else s.time,
                 self.resume_plan_time[s.next_step],
                 _stance_place(s, stance)[0] - self.foothold[s.next_step, stance],
                 s.x_shift_new,
@@ -508,11 +547,6 @@ class PayloadStage(eqx.Module):
             return eqx.tree_at(
                 lambda t: (t.mode, t.resume_time, t.resume_plan_time, t.world_shift, t.x_shift), s, values
             )
-
-        def settle(s: PayloadState) -> PayloadState:
-            """The slower low-pass starts anew, free of what was before the load."""
-            values = (jnp.full_like(s.mode, SETTLE), s.force)
-            return eqx.tree_at(lambda t: (t.mode, t.slow_force), s, values)
 
         leave = [stay, settle, read, to(RECOVER), to(HOLD), resume]
         return jax.lax.switch(leaving, leave, state)
@@ -537,7 +571,11 @@ class PayloadStage(eqx.Module):
         """Plan time at `time` [s] while the robot walks."""
         since = time - state.resume_time
         if not self.params.smooth_resume:
-            return state.resume_plan_time + since
+            going = state.share(state.time + state.tick - state.resume_time)
+            going = jnp.where(state.reflexes > 0, going, 1.0)
+            begun = jnp.maximum(state.time - state.resume_time, 0.0)
+            return state.resume_plan_time + begun + going * (time - state.time)
+        since = jnp.maximum(since, 0.0)
         lead = 0.5 * (timing.T_c - timing.T_s)
         r = jnp.minimum(0.5 * since / lead, 1.0)
         slow = lead * r * r * r * (2.0 - r) + jnp.maximum(since - 2.0 * lead, 0.0)
@@ -604,14 +642,23 @@ class PayloadStage(eqx.Module):
 
     def _reflex_pose(self, state: PayloadState, since: Scalar, time: Scalar) -> Float[Array, "2 3"]:
         """Soles in the body frame up to the end of SHIFT (Eqs. 3.11-3.17 and 3.21)."""
-        T, way = self.params.reflex_time, state.end - state.start[0]
-        if self.params.smooth_reflex:
-            T = jnp.stack([T, self._body_time(state), T])
+        p, way = self.params, state.end - state.start[0]
+        if p.smooth_reflex or p.smooth_ramp:
+            T = jnp.stack([p.reflex_time, self._body_time(state), p.reflex_time])
             moved = quintic_to_rest(since, T, state.start[1], state.start[2], way)
         else:
-            moved = jnp.clip(since / T, 0.0, 1.0) * way
+            ramp = self._ramp(state, state.trigger_time, p.reflex_time, time)
+            moved = self._before(state, time) + ramp * way
         shift = self._applied_shift(state, time) - state.x_shift
         return (state.start[0] + moved).at[:, 0].add(shift)
+
+    def _before(self, state: PayloadState, time: Scalar) -> Float[Array, "2 3"]:
+        """What is left, before a ramp that starts inside the tick to come, of the motion that it ends."""
+        back = jnp.minimum(state.time - state.trigger_time, 0.0)
+        share = state.share(-back)
+        _, velocity, acceleration = state.start
+        left = back * velocity + 0.5 * back * back * acceleration
+        return left + (time - state.time) * share * (velocity + back * acceleration)
 
     def _body_time(self, state: PayloadState) -> Scalar:
         """Time in which the body gets to the middle [s].
@@ -619,6 +666,8 @@ class PayloadStage(eqx.Module):
         Not so long that it swings beyond it; the shorter, the nearer it is to the middle of two feet on the ground.
         """
         p, way = self.params, (state.end - state.start[0])[LEFT, 1]
+        if not p.smooth_reflex:
+            return p.reflex_time
         towards = jnp.where(way >= 0.0, -1.0, 1.0)
         velocity, acceleration = towards * state.start[1, LEFT, 1], towards * state.start[2, LEFT, 1]
         half_distance = 0.5 * (state.end[LEFT, 1] - state.end[RIGHT, 1])
@@ -655,17 +704,17 @@ class PayloadStage(eqx.Module):
 
     def _feed_forward_time(self, state: PayloadState, timing: Timing, time: Scalar) -> Scalar:
         """Plan time whose joint torques suit the pose outside WALK: both feet loaded, or the step of the same foot."""
-        p, step, start = self.params, self._recovery(state, timing), self._ends(state, timing)[SHIFT]
+        step, start = self._recovery(state, timing), self._ends(state, timing)[SHIFT]
         before = self.resume_plan_time[jnp.maximum(state.next_step - 1, 0)]
         after = self.resume_plan_time[state.next_step]
-        to_rest = self._body_time(state) if p.smooth_reflex else p.reflex_time
-        down = jnp.clip((time - state.trigger_time) / to_rest, 0.0, 1.0)
+        since = time - state.trigger_time
+        down = jnp.clip(since / self._body_time(state), 0.0, 1.0)
         liftoff = jnp.minimum(timing.liftoff(jnp.maximum(state.next_step - 1, 0)), after)
         touchdown = jnp.minimum(liftoff + timing.T_s, after)
         half = 0.5 * step.t_ds
         knots = start + jnp.stack([jnp.zeros_like(half), half, half + step.t_ss, step.t_ss + step.t_ds])
         recovering = jnp.interp(time, knots, jnp.stack([before, liftoff, touchdown, after]))
-        return (1.0 - down) * state.trigger_plan_time + down * recovering
+        return (1.0 - down) * (state.trigger_plan_time + jnp.minimum(since, 0.0)) + down * recovering
 
     def _phase(self, state: PayloadState, plan: Targets, timing: Timing, time: Scalar) -> Phase:
         """Phase of the plan, of the reflex, or of the recovery step, which lasts until the plan's next lift-off."""

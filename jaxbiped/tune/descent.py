@@ -67,8 +67,10 @@ class Descent:
     """First moments of Adam."""
     second: list[float] = field(default_factory=list)
     """Second moments of Adam."""
-    trusted: list[bool] = field(default_factory=list)
-    """By the last report."""
+    by: list[str] = field(default_factory=list)
+    """What each tunable is descended by, as the last report has it."""
+    widths: list[float] = field(default_factory=list)
+    """Of the wide central differences, as the last report has them."""
     best: dict[str, Any] = field(default_factory=dict)
     """Values with the smallest held-out loss, and what it was."""
     history: list[dict[str, Any]] = field(default_factory=list)
@@ -154,15 +156,17 @@ def _descend(state: Descent, problem: Problem, settings: Settings, at: np.ndarra
     rows = rng.choice(n, min(settings.scenarios, n), replace=False)
     if state.step % settings.trust_every == 0:
         report = trust.report(problem, at, rows, sigma=settings.sigma, pairs=settings.pairs, seed=state.step)
-        state.trusted = report.trusted.tolist()
+        state.by = report.descended
+        state.widths = gradient.wide_widths(problem, report.forward).tolist()
         state.reports.append({"step": state.step, **report.record()})
         forward, slope = report.forward, report.mixture
     else:
-        forward = gradient.forward(problem, at, rows)
-        twin = forward
-        if not all(state.trusted):
-            twin = gradient.smoothed(problem, at, rows, settings.sigma, settings.pairs, state.step)
-        slope = trust.mix(forward, twin, np.asarray(state.trusted))
+        forward = smoothed = wide = gradient.forward(problem, at, rows)
+        if trust.MIXED in state.by:
+            smoothed = gradient.smoothed(problem, at, rows, settings.sigma, settings.pairs, state.step)
+        if trust.WIDE in state.by:
+            wide = gradient.central(problem, at, rows, state.widths)
+        slope = trust.mix(state.by, forward, smoothed, wide)
     slope = slope * _range_slope(problem, np.asarray(state.z))
     _adam(state, slope, settings.rate)
     fell = float(np.mean(forward.status != 0))
@@ -276,7 +280,7 @@ def _load(out: Path, problem: Problem, judge: Problem, settings: Settings, overw
     state = _read(out / STATE, problem, judge, settings)
     if state is None:
         z, k = to_unconstrained(problem, problem.start), len(problem.tunables)
-        return Descent(z=z.tolist(), first=[0.0] * k, second=[0.0] * k, trusted=[True] * k)
+        return Descent(z=z.tolist(), first=[0.0] * k, second=[0.0] * k, by=[trust.FORWARD] * k)
     if state.finished.endswith("steps") and state.step <= settings.steps:
         state.finished, state.step = "", state.step - 1
         state.history.pop()

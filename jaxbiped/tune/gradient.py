@@ -30,6 +30,10 @@ LANES = 64
 """Most walks in one call; as many calls are made at once as XLA has threads."""
 SAMPLES = 8
 """Of the tangents' growth, over the walk."""
+WIDE_TICKS = 5
+"""Control ticks over which wide central differences let an event move, at least."""
+WIDE_SHARE, WIDEST_SHARE = 2e-3, 1e-2
+"""Of a range: how wide they are at least, and at most for what moves the start of a reflex."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,9 @@ class Gradient:
     """Times of `growth` since the start of the walk [s] (about SAMPLES,); none but with forward mode."""
     growth: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
     """Norms of the tangents of trunk and soles then [m and rad per unit of the tunable] (n, times, k)."""
+    trigger_slope: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    """Derivatives of the start of the last reflex [s per unit of the tunable], 0 without one; only with forward mode
+    (n, k)."""
 
     @property
     def value(self) -> float:
@@ -148,7 +155,7 @@ class _Setting(eqx.Module):
     options: sim.Options = eqx.field(static=True)
 
     def walk(self, at: Float[Array, " k"], scenario: sim.Scenario) -> tuple[Any, dict[str, Array]]:
-        """Walk once: (loss, poses), to be differentiated, and what became of the walk."""
+        """Walk once: (loss, poses, start of the last reflex), to be differentiated, and what became of the walk."""
         controller = tunables.apply(self.robot, self.controller, self.tunables, at)
         torque = make_feed_forward(self.robot, controller, self.duration, self.options)
 
@@ -162,7 +169,14 @@ class _Setting(eqx.Module):
         loss = self.loss.total(walk.integral, walk, self.duration)
         success = judge(walk, controller.gait, scenario).success
         became = {"status": walk.statistics.status, "success": success, "time": walk.trace.time}
-        return (loss, _poses(walk.trace)), became
+        return (loss, _poses(walk.trace), _trigger(walk)), became
+
+
+def _trigger(walk: sim.Walk) -> Float[Array, ""]:
+    """Start of the last reflex [s]; 0 without one."""
+    assert walk.controller is not None
+    payload = walk.controller.payload
+    return jnp.zeros_like(walk.statistics.end_time) if payload is None else payload.trigger_time
 
 
 def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
@@ -174,17 +188,20 @@ def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
 @runtime.jit
 def walk_slopes(
     setting: _Setting, at: Float[Array, " k"], scenarios: sim.Scenario
-) -> tuple[Array, Array, Array, dict[str, Array]]:
-    """Losses (n,), their derivatives (n, k), norms of the tangents (n, t, k): walked once, tangents side by side."""
+) -> tuple[Array, Array, Array, Array, dict[str, Array]]:
+    """Losses (n,), their derivatives and those of the reflexes' starts (n, k), norms of the tangents (n, t, k).
 
-    def along(unit: Array) -> tuple[Array, Array, Array, dict[str, Array]]:
-        (loss, _), (slope, poses), became = jax.jvp(
+    Walked once, tangents side by side.
+    """
+
+    def along(unit: Array) -> tuple[Array, Array, Array, Array, dict[str, Array]]:
+        (loss, *_), (slope, poses, trigger), became = jax.jvp(
             lambda x: jax.vmap(lambda one: setting.walk(x, one))(scenarios), (at,), (unit,), has_aux=True
         )
-        return loss, slope, jnp.sqrt(jnp.sum(poses**2, axis=-1)), became
+        return loss, slope, trigger, jnp.sqrt(jnp.sum(poses**2, axis=-1)), became
 
     units = jnp.eye(len(setting.tunables), dtype=at.dtype)
-    return jax.vmap(along, out_axes=(None, 1, 2, None))(units)
+    return jax.vmap(along, out_axes=(None, 1, 1, 2, None))(units)
 
 
 @runtime.jit
@@ -192,7 +209,7 @@ def walk_values(
     setting: _Setting, at: Float[Array, "n k"], scenarios: sim.Scenario
 ) -> tuple[Array, dict[str, Array]]:
     """Losses (n,) of scenarios with each its own values of the tunables."""
-    (loss, _), became = jax.vmap(setting.walk)(at, scenarios)
+    (loss, *_), became = jax.vmap(setting.walk)(at, scenarios)
     return loss, became
 
 
@@ -224,9 +241,9 @@ def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     walked = _side_by_side(
         problem, walk_slopes, [(point, problem.scenarios(piece)) for piece in _pieces(rows)]
     )
-    losses, slopes, growth, became = jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *walked)
+    losses, slopes, trigger, growth, became = jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *walked)
     made = _gradient(problem, at, losses, slopes, became, began)
-    return dataclasses.replace(made, growth_time=became["time"][0], growth=growth)
+    return dataclasses.replace(made, growth_time=became["time"][0], growth=growth, trigger_slope=trigger)
 
 
 def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = None) -> Gradient:
@@ -242,15 +259,46 @@ def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = No
 def default_widths(problem: Problem) -> np.ndarray:
     """Of central differences (k,): 2e-5 of each range in float64, 2e-3 in float32, whose noise is that much larger."""
     share = 2e-5 if jnp.result_type(float) == jnp.float64 else 2e-3
-    return share * np.array([t.high - t.low for t in problem.tunables])
+    return share * _ranges(problem)
+
+
+def tick_widths(problem: Problem, found: Gradient) -> np.ndarray:
+    """By how much each tunable moves what it moves by one control tick (k,).
+
+    A time moves its event one to one. What moves the start of a reflex does so by its derivative: the median one of the
+    walks that `found` has it of. For the others, and at most, a share of the range.
+    """
+    tick, ranges = problem.experiment.simulation.control_dt, _ranges(problem)
+    widths = WIDE_SHARE / WIDE_TICKS * ranges
+    for j, t in enumerate(problem.tunables):
+        rates = np.abs(found.trigger_slope[:, j])
+        rates = rates[np.isfinite(rates) & (rates > 0.0)]
+        if t.unit == "s":
+            widths[j] = tick
+        elif rates.size:
+            widths[j] = min(tick / np.median(rates), WIDEST_SHARE / WIDE_TICKS * ranges[j])
+    return widths
+
+
+def wide_widths(problem: Problem, found: Gradient) -> np.ndarray:
+    """Of wide central differences (k,): at least WIDE_TICKS control ticks of what each tunable moves."""
+    return np.maximum(WIDE_TICKS * tick_widths(problem, found), WIDE_SHARE * _ranges(problem))
+
+
+def losses_at(problem: Problem, points: np.ndarray, row: int) -> np.ndarray:
+    """Losses (m,) of one scenario at many points (m, k)."""
+    return _walked(problem, np.full(len(points), row), points[None])[0][0]
+
+
+def _ranges(problem: Problem) -> np.ndarray:
+    return np.array([t.high - t.low for t in problem.tunables])
 
 
 def smoothed(
     problem: Problem, at: np.ndarray, rows: np.ndarray, sigma: float = 0.02, pairs: int = 4, seed: int = 0
 ) -> Gradient:
     """Antithetic Gaussian smoothing; `sigma` is a share of each tunable's range, every scenario has its own pairs."""
-    began, k = time.perf_counter(), len(problem.tunables)
-    width = np.array([t.high - t.low for t in problem.tunables])
+    began, k, width = time.perf_counter(), len(problem.tunables), _ranges(problem)
     way = np.random.default_rng(seed).standard_normal((pairs, len(rows), k))
     moved = sigma * width * way
     value, became = _walked(problem, rows, np.concatenate([0.0 * moved[:1] + at, at + moved, at - moved]))

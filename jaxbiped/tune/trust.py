@@ -1,11 +1,12 @@
 """How far a gradient can be trusted: forward mode beside its twins, the growth of its tangents, and what went wrong.
 
-Forward mode is exact for the simulator as it is written, tick for tick, but not where a walk jumps; and the tangents of
-a walk that is about to fall grow beyond any use. Central differences show the first, smoothing the second.
+Forward mode is exact for the simulator as it is written, tick for tick. Where an event moves on by ticks the loss is a
+sawtooth: forward mode and near central differences agree on the slope of a tooth, wide ones have the trend. And the
+tangents of a walk that is about to fall grow beyond any use, which smoothing shows.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,12 @@ from jaxbiped.tune.gradient import Gradient, Problem
 
 CLIP = 5.0
 """A scenario whose derivative is longer than so many times the median one is clipped to that."""
+SAME = 0.1
+"""Two slopes are the same if they differ by no more than this share of the larger one."""
+TREND, TOOTH, NOISE = "trend", "tooth", "noise"
+"""What a slope by forward mode is."""
+FORWARD, WIDE, MIXED = "forward", "wide", "mixed"
+"""What is descended."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +32,9 @@ class Trust:
     problem: Problem
     forward: Gradient
     central: Gradient
+    """Near: far less than a control tick of any event."""
+    wide: Gradient
+    """Central differences over several control ticks, see `gradient.wide_widths`."""
     smoothed: Gradient
     cost_per_tangent: float | None = None
     """Of the gradient beyond the walk itself, as a share of a walk; None if not measured."""
@@ -88,8 +98,26 @@ class Trust:
         return float(np.mean(self.forward.status != 0))
 
     @property
+    def slope(self) -> list[str]:
+        """What forward mode's slope by each tunable is (k,).
+
+        TREND: that of wide differences too. TOOTH: that of near differences, but the walks agree that wide ones have
+        another. NOISE: it is neither, or the walks disagree too much to tell.
+        """
+        near, wide = (self._same(twin) for twin in (self.central, self.wide))
+        apart = _parts(self.forward, self.width) - _parts(self.wide, self.width)
+        clear = np.abs(apart.mean(axis=0)) > 2.0 * apart.std(axis=0) / np.sqrt(len(apart))
+        return np.where(wide, TREND, np.where(near & clear, TOOTH, NOISE)).tolist()
+
+    def _same(self, twin: Gradient) -> np.ndarray:
+        """By which tunables forward mode and a twin have the same mean slope (k,), or next to none."""
+        a, b = self.clipped_gradient * self.width, _clipped(twin, self.width) * self.width
+        size = np.maximum(np.abs(a), np.abs(b))
+        return np.abs(a - b) <= np.maximum(SAME * size, 1e-3 * np.max(size))
+
+    @property
     def trusted(self) -> np.ndarray:
-        """Tunables by which forward mode is more than noise and agrees with smoothing (k,).
+        """Tunables by which forward mode has the trend, is more than noise and agrees with smoothing (k,).
 
         It is longer than its standard error over the scenarios, varies at most twice as much as smoothing, and is
         within three standard errors of it.
@@ -100,35 +128,36 @@ class Trust:
         largest = np.max(np.abs(b * self.width))
         small = np.maximum(np.abs(a), np.abs(b)) * self.width <= 1e-3 * largest
         agree = (np.abs(a - b) <= 3.0 * error) & (va <= 2.0 * vb)
-        return (agree & (a**2 > va)) | small
+        return ((agree & (a**2 > va)) | small) & (np.array(self.slope) == TREND)
+
+    @property
+    def descended(self) -> list[str]:
+        """By what each tunable is descended: forward mode if trusted, wide differences where it is a tooth's (k,)."""
+        teeth = np.array(self.slope) == TOOTH
+        return np.where(self.trusted, FORWARD, np.where(teeth, WIDE, MIXED)).tolist()
 
     @property
     def mixture(self) -> np.ndarray:
-        """What to descend: forward mode where it is trusted, elsewhere both by their inverse variances (k,)."""
-        return mix(self.forward, self.smoothed, self.trusted)
+        """What to descend (k,), see `descended`."""
+        return mix(self.descended, self.forward, self.smoothed, self.wide)
 
     def lines(self) -> list[str]:
         """The report, to read."""
         kept, n = int(np.sum(self.forward.status == 0)), len(self.forward.losses)
-        head = (
-            f"{'tunable':34s} {'forward':>11s} {'central':>11s} {'smoothed':>11s}   per range; descended by"
-        )
+        twins = ("forward", "central", "wide", "smoothed")
+        head = f"{'tunable':34s}" + "".join(f" {name:>11s}" for name in twins)
+        slopes = np.stack([_clipped(getattr(self, name), self.width) * self.width for name in twins], axis=1)
         rows = [
-            f"{t.name:34s} {f:11.4g} {c:11.4g} {s:11.4g}   {'forward' if ok else 'MIXED'}"
-            for t, f, c, s, ok in zip(
-                self.forward.tunables,
-                self.clipped_gradient * self.width,
-                _clipped(self.central, self.width) * self.width,
-                _clipped(self.smoothed, self.width) * self.width,
-                self.trusted,
-                strict=True,
+            f"{t.name:34s}" + "".join(f" {s:11.4g}" for s in each) + f"   {kind:5s}   {by}"
+            for t, each, kind, by in zip(
+                self.forward.tunables, slopes, self.slope, self.descended, strict=True
             )
         ]
         growth = ", ".join(
             f"{g:.3g} at {t:.1f} s" for t, g in zip(self.forward.growth_time, self.growth, strict=True)
         )
         return [
-            head,
+            f"{head}   per range; slope, descended by",
             *rows,
             f"cosine with central differences {self.cosine(self.central):.4f}, with smoothing "
             f"{self.cosine(self.smoothed):.4f}; signs agree for {100 * self.sign_agreement(self.central):.0f} and "
@@ -152,8 +181,11 @@ class Trust:
             "loss": self.forward.value,
             "forward": self.clipped_gradient.tolist(),
             "central": _clipped(self.central, self.width).tolist(),
+            "wide": _clipped(self.wide, self.width).tolist(),
             "smoothed": _clipped(self.smoothed, self.width).tolist(),
+            "slope": self.slope,
             "trusted": self.trusted.tolist(),
+            "descended": self.descended,
             "mixture": self.mixture.tolist(),
             "cosine": self.cosine(self.central),
             "cosine_smoothed": self.cosine(self.smoothed),
@@ -185,16 +217,18 @@ def report(
         problem: whose loss.
         at: values of the tunables (k,).
         rows: of the experiment's scenarios.
-        widths: of the central differences (k,), see `gradient.default_widths`.
+        widths: of the near central differences (k,), see `gradient.default_widths`.
         sigma: of the smoothing, as a share of each range.
         pairs: of the smoothing, for each scenario.
         seed: of the smoothing.
         timed: also measure what a tangent costs, which takes another gradient.
     """
+    forward = gradient.forward(problem, at, rows)
     return Trust(
         problem,
-        gradient.forward(problem, at, rows),
+        forward,
         gradient.central(problem, at, rows, widths),
+        gradient.central(problem, at, rows, gradient.wide_widths(problem, forward)),
         gradient.smoothed(problem, at, rows, sigma, pairs, seed),
         _cost_per_tangent(problem, at, rows) if timed else None,
     )
@@ -212,14 +246,22 @@ def _seconds(function: Callable[[], Any]) -> float:
     return time.perf_counter() - began
 
 
-def mix(forward: Gradient, other: Gradient, trusted: np.ndarray) -> np.ndarray:
-    """Forward mode where it is trusted, elsewhere the mean of both, weighted by their inverse variances (k,)."""
+def mix(by: Sequence[str], forward: Gradient, smoothed: Gradient, wide: Gradient) -> np.ndarray:
+    """What to descend (k,).
+
+    Args:
+        by: for each tunable FORWARD, WIDE, or MIXED: forward mode and smoothing, weighted by their inverse variances.
+        forward: forward mode.
+        smoothed: smoothing.
+        wide: wide central differences.
+    """
     width = np.array([t.high - t.low for t in forward.tunables])
-    a, b = _clipped(forward, width), _clipped(other, width)
-    va, vb = _variance(forward, width), _variance(other, width)
+    a, b = _clipped(forward, width), _clipped(smoothed, width)
+    va, vb = _variance(forward, width), _variance(smoothed, width)
     total = va + vb
     share = np.where(total > 0.0, vb / np.where(total > 0.0, total, 1.0), 0.5)
-    return np.where(trusted, a, share * a + (1.0 - share) * b)
+    slopes = {FORWARD: a, WIDE: _clipped(wide, width), MIXED: share * a + (1.0 - share) * b}
+    return np.select([np.array(by) == name for name in slopes], list(slopes.values()))
 
 
 def _scales(found: Gradient, width: np.ndarray) -> np.ndarray:

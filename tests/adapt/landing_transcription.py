@@ -213,14 +213,15 @@ def commands(plan: Plan, readings: Readings, numbers: Numbers, repairs: Repairs)
             if repairs.interpolate:
                 closings = readings.closed_at[i, swing]
                 ago = plan.time[i] - closings[readings.closed[i, swing]].min()
-                before = taus[i - 1] if steps[i - 1] == step else 0.0
-                tau_td = max(tau - float(ago), before, 0.5 * T_s)
+                # However old the reading is: what is seen at this tick may have happened before the last one.
+                tau_td = max(tau - float(ago), 0.5 * T_s)
             late = tau_td > T_s
             r = tau_td - tau
             p, v, a = plan.pose[i, :, swing]
             x = (float(p[0] + v[0] * r + 0.5 * a[0] * r * r), float(v[0] + a[0] * r), float(a[0]))
             z = (float(p[2] + v[2] * r + 0.5 * a[2] * r * r), float(v[2] + a[2] * r), float(a[2]))
-            sunk, fade = descent.go_on(tau_td), kept(tau_td)
+            # Lowered anew up to the touch: the descent has gone on beyond it, unseen.
+            sunk, fade = fresh().go_on(tau_td), kept(tau_td)
             lowered_at_touch = sunk[0]
             start_x = (x[0] + fade[0] * dx[swing], *x[1:])
             start_z = (z[0] - sunk[0], *z[1:])

@@ -12,6 +12,9 @@ appendix halves it); Y_l shifts like Y_r under S7 in Eq. 3.30. Where the thesis 
     fast one. The slower one starts anew with the settling time; what it says at its end is the normal weight then.
   - The shift of x_ref is counted from the original x_ref, so that a second reading of the ZMP replaces the first.
   - Events are taken from inside the tick, by linear interpolation of what was low-passed.
+  - A reflex starts one tick after the crossing, which is known at the tick after it: so it can start at any instant.
+    For the same reason the tick before the shift of x_ref, and before the walk goes on, knows of it, and the ZMP that
+    decides is that of one tick before the shift.
 """
 
 from dataclasses import dataclass, field
@@ -184,10 +187,13 @@ class PayloadTranscription:
         self.slow = self.slow * keep_slow + fs * (1 - keep_slow)
 
         if self.mode == REFLEX and t >= self.end_of(REFLEX):
+            share = (self.end_of(REFLEX) - then) / dt
+            at_end = force + share * (self.force - force)
+            keep = np.exp(-(t - self.end_of(REFLEX)) / self.p.slow_time_constant)
+            self.slow = at_end * keep + fs * (1 - keep)
             self.mode = SETTLE
-            self.slow = self.force
-        elif self.mode == SETTLE and t >= self.end_of(SETTLE):
-            share = (self.end_of(SETTLE) - then) / dt
+        elif self.mode == SETTLE and t + dt >= self.end_of(SETTLE):
+            share = (self.end_of(SETTLE) - t) / dt
             reading = old_zmp + share * (self.zmp - old_zmp)
             self.x_ref_wanted = self.g.x_ref + self.p.gain * (reading - self.p.zmp_balanced)  # 3.19, 3.20
             self.weight = slow + share * (self.slow - slow)
@@ -196,16 +202,17 @@ class PayloadTranscription:
             self.mode = RECOVER
         elif self.mode == RECOVER and t >= self.end_of(RECOVER):
             self.mode = HOLD
-        elif self.mode == HOLD and t >= self.end_of(HOLD):
+        elif self.mode == HOLD and t + dt >= self.end_of(HOLD):
             self.resume()
 
-        at = self.watch(then, force, slow, shaken)
-        if at is not None:
-            self.start_reflex(at)
-        return self.pose(t)
+        pose = self.pose(t)
+        crossed = self.watch(then, force, slow, shaken)
+        if crossed is not None:
+            self.start_reflex(crossed + dt)
+        return pose
 
     def watch(self, then: float, force: float, slow: float, shaken: bool) -> float | None:
-        """When a load was felt in this tick."""
+        """When a load left the band, if it is felt at this tick."""
         assert self.now is not None
         walking = self.mode == WALK
         fresh = bool(self.log.triggers) and self.now - self.resumed_at < self.p.rearm_time
@@ -227,7 +234,7 @@ class PayloadTranscription:
     # ------------------------------------------------------------------ the walk
 
     def plan_time(self, t: float) -> float:
-        return self.resumed_from + (t - self.resumed_at)
+        return self.resumed_from + max(t - self.resumed_at, 0.0)
 
     def pose(self, t: float) -> np.ndarray:
         if self.mode == WALK:

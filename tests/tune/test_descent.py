@@ -26,7 +26,7 @@ def problem():
 def bowl(monkeypatch, problem):
     """A loss that is a bowl around GOAL, a little different in every scenario."""
     width = np.array([t.high - t.low for t in problem.tunables])
-    calls = {"forward": 0, "smoothed": 0, "lie": False}
+    calls = {"forward": 0, "smoothed": 0, "central": 0, "lie": False, "tooth": 0.0}
 
     def losses(at, rows):
         return np.sum(((at - GOAL) / width) ** 2) * (1.0 + 0.1 * np.cos(rows))
@@ -41,15 +41,26 @@ def bowl(monkeypatch, problem):
     def forward(p, at, rows):
         calls["forward"] += 1
         found = made(p, at, rows, -1.0 if calls["lie"] else 1.0, 3.0 if calls["lie"] else 0.0)
-        growth = np.ones((len(rows), 8, len(at)))
-        return dataclasses.replace(found, growth_time=np.arange(1.0, 9.0), growth=growth)
+        found = with_teeth(found)
+        growth, still = np.ones((len(rows), 8, len(at))), np.zeros((len(rows), len(at)))
+        return dataclasses.replace(found, growth_time=np.arange(1.0, 9.0), growth=growth, trigger_slope=still)
+
+    def with_teeth(found):
+        """Every tooth falls by the first tunable, whatever the bowl does."""
+        tooth = np.array([calls["tooth"], 0.0, 0.0]) / width
+        return dataclasses.replace(found, by_scenario=found.by_scenario - tooth)
+
+    def central(p, at, rows, widths=None):
+        calls["central"] += 1
+        found = made(p, at, rows)
+        return with_teeth(found) if widths is None else found
 
     def smoothed(p, at, rows, *_, **__):
         calls["smoothed"] += 1
         return made(p, at, rows, noise=1e-3)
 
     monkeypatch.setattr(gradient, "forward", forward)
-    monkeypatch.setattr(gradient, "central", lambda p, at, rows, *_: made(p, at, rows))
+    monkeypatch.setattr(gradient, "central", central)
     monkeypatch.setattr(gradient, "smoothed", smoothed)
     monkeypatch.setattr(
         gradient, "outcomes", lambda p, at, rows: (losses(at, rows), np.ones(len(rows), bool))
@@ -81,6 +92,19 @@ def test_a_gradient_that_lies_is_not_followed(bowl, problem, tmp_path):
     tuned = descent.tune(problem, problem.experiment, tmp_path, SETTINGS)
     assert not any(tuned.descent.reports[0]["trusted"])
     np.testing.assert_allclose(tuned.values, GOAL, atol=0.1)
+
+
+def test_the_trend_is_followed_where_teeth_fall_the_other_way(bowl, problem, tmp_path):
+    """Forward mode and near differences agree on a slope that would drive the first tunable to its upper bound."""
+    bowl["tooth"] = 4.0
+    tuned = descent.tune(problem, problem.experiment, tmp_path, SETTINGS)
+    first = tuned.descent.reports[0]
+    assert first["slope"] == ["tooth", "trend", "trend"]
+    assert first["descended"] == ["wide", "forward", "forward"]
+    np.testing.assert_allclose(tuned.values, GOAL, atol=0.03)
+    assert bowl["smoothed"] == len(tuned.descent.reports)
+    steps = sum("loss" in one for one in tuned.descent.history)
+    assert bowl["central"] == steps + len(tuned.descent.reports)  # near ones for the reports only
 
 
 def test_it_stops_when_held_out_scenarios_get_no_better(bowl, problem, tmp_path):
@@ -178,8 +202,8 @@ def of(slopes, status=None):
     return Gradient(ts, np.zeros(2), np.zeros(n), slopes, status, status == 0, 0.0, np.arange(8.0), growth)
 
 
-def report(problem, forward, central, smoothed):
-    return Trust(problem, forward, central, smoothed, 0.5)
+def report(problem, forward, central, smoothed, wide=None):
+    return Trust(problem, forward, central, forward if wide is None else wide, smoothed, 0.5)
 
 
 def test_report_compares_what_can_be_compared(problem):
@@ -229,9 +253,52 @@ def test_the_mixture_leans_to_the_one_with_less_variance(problem):
     rng = np.random.default_rng(1)
     forward = of(np.array([3.0, -3.0]) + 30.0 * rng.standard_normal((200, 2)))
     other = of(np.array([1.0, 1.0]) + 0.1 * rng.standard_normal((200, 2)))
-    mixed = trust.mix(forward, other, np.array([False, False]))
+    mixed = trust.mix([trust.MIXED] * 2, forward, other, forward)
     np.testing.assert_allclose(mixed, [1.0, 1.0], atol=0.1)
-    np.testing.assert_allclose(trust.mix(forward, other, np.array([True, True])), forward.gradient, atol=1.0)
+    both = trust.mix([trust.FORWARD, trust.WIDE], forward, forward, other)
+    np.testing.assert_allclose(both, [forward.gradient[0], other.gradient[1]], atol=1.0)
+
+
+SIGNS = np.where(np.arange(100) % 2, 1.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("forward", "near", "wide", "slope"),
+    [
+        pytest.param(1.0, 1.0, 1.05, "trend", id="all the same"),
+        pytest.param(1.0, 2.0, 1.05, "trend", id="near differences are noise"),
+        pytest.param(1.0, 1.0, 0.5, "tooth", id="near ones agree, wide ones do not"),
+        pytest.param(-1.0, -1.0, 0.5 + SIGNS, "tooth", id="wide ones vary, but not for that"),
+        pytest.param(1.0, 1.0, 0.5 + 9.0 * SIGNS, "noise", id="wide ones vary too much to tell"),
+        pytest.param(1.0, 2.0, 0.5, "noise", id="near ones do not agree either"),
+        pytest.param(1e-5, 1e-5, -1e-5, "trend", id="of no consequence"),
+    ],
+)
+def test_a_slope_is_a_trend_or_a_tooth(problem, forward, near, wide, slope):
+    """By 100 scenarios; the other tunable is a trend."""
+    one, two, three = (of(np.column_stack([np.zeros(100) + x, np.ones(100)])) for x in (forward, near, wide))
+    found = report(problem, one, two, one, three)
+    assert found.slope == [slope, "trend"]
+    assert found.record()["slope"] == found.slope
+    assert any(slope in line and "payload.a" in line for line in found.lines())
+    assert found.trusted.tolist() == [slope == "trend", True]
+    assert found.descended[0] == {"trend": "forward", "tooth": "wide", "noise": "mixed"}[slope]
+
+
+def test_a_single_walk_says_what_it_is(problem):
+    one = report(problem, of([[1.0, 1.0]]), of([[1.0, 1.0]]), of([[1.0, 1.0]]), of([[-1.0, 1.0]]))
+    assert one.slope == ["tooth", "trend"]
+
+
+def test_wide_differences_are_ticks_wide(problem):
+    """A time moves its event; a threshold by as much as it moves the trigger; a gain by a share of its range."""
+    names = ("payload.reflex_time", "payload.threshold", "payload.x_ref_gain")
+    one = payload(2, 1.0, names)
+    starts = np.array([[0.0, 2e-3, 0.0], [0.0, 0.0, 0.0], [0.0, 4e-3, 0.0], [np.nan, np.nan, np.nan]])
+    found = dataclasses.replace(of(np.zeros((4, 2))), trigger_slope=starts)
+    tick = one.experiment.simulation.control_dt
+    np.testing.assert_allclose(gradient.tick_widths(one, found), [tick, tick / 3e-3, 4e-4 * 2.0])
+    np.testing.assert_allclose(gradient.wide_widths(one, found), [5.0 * tick, 5.0 * tick / 3e-3, 2e-3 * 2.0])
 
 
 def test_single_scenarios_are_clipped_and_those_without_a_derivative_left_out(problem):

@@ -1,0 +1,101 @@
+"""How a loss goes over three control ticks of what every tunable of every arm moves, and where it jumps.
+
+Short walks around one event: elkahlout under 6 kg from its first swing until after the shift of x_ref, surena3 onto a
+pad and into a hole, until the height is released. Beside forward mode's slope that inside a tooth, and that over three
+ticks, which is the trend; and the jumps between neighbors a sixteenth of a tick apart.
+
+    python sweeps/teeth.py
+    python sweeps/teeth.py modified repaired
+"""
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+import jaxbiped as jb
+from jaxbiped.adapt import Controller, Landing, PayloadReflex
+from jaxbiped.tune import Problem, teeth
+
+PAYLOADS: dict[str, dict[str, Any]] = {
+    "original": {},
+    "modified": {},
+    "modified, smooth ramp": {"smooth_ramp": True},
+    "repaired": {},
+}
+LANDINGS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "paper, interpolated": {"interpolate": True},
+    "repaired": {},
+}
+THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
+SHORT = {"settling_time": 0.8, "shift_time": 0.3}
+"""Of the payload arms [s]: what is read and shifted afterwards is to be seen within the walk."""
+LOAD, LOAD_TIME = 6.0, 2.4
+"""[kg], [s]: in the midst of the first swing."""
+PAD = 0.03
+"""[m]"""
+
+
+def payload(arm: str, names: Any = ("payload",)) -> Problem:
+    """The robot elkahlout with a payload arm and one load."""
+    robot = jb.robot.load("elkahlout")
+    gait = jb.planner.CosineGait.preset(robot, 4)
+    base = arm.split(",")[0]
+    numbers = {**SHORT, **({"body_time": 1.0} if base == "repaired" else {}), **PAYLOADS[arm]}
+    reflex = getattr(PayloadReflex, base)(robot, gait, **numbers)
+    experiment = jb.batch.Experiment(
+        robot,
+        {arm: Controller(gait, payload=reflex)},
+        jb.batch.grid(load_kg=(LOAD,), load_time_s=(LOAD_TIME,)),
+        THESIS,
+        duration=4.2 if base != "repaired" else 5.0,
+    )
+    return Problem.of(experiment, names)
+
+
+def landing(arm: str, names: Any = ("landing",)) -> Problem:
+    """surena3 with a landing arm, onto a pad and into a hole under its first step, until the next one lands."""
+    robot = jb.robot.load("surena3")
+    gait = jb.planner.PolynomialGait.preset(robot, 4)
+    controller = Controller(gait, landing=getattr(Landing, arm.split(",")[0])(**LANDINGS[arm]))
+    scenarios = jb.batch.grid(step_0_height_m=(PAD, -PAD))
+    duration = float(gait.timing.touchdown(1)) + 0.2
+    experiment = jb.batch.Experiment(robot, {arm: controller}, scenarios, duration=duration)
+    return Problem.of(experiment, names)
+
+
+def problems() -> dict[str, tuple[Callable[[], Problem], int]]:
+    """By name: how to make a problem, and the row of its scenario."""
+    loads = {f"elkahlout, {arm}": (lambda arm=arm: payload(arm), 0) for arm in PAYLOADS}
+    pads = {
+        f"surena3, {arm}, {where}": (lambda arm=arm: landing(arm), row)
+        for arm in LANDINGS
+        for row, where in enumerate(("pad", "hole"))
+    }
+    return loads | pads
+
+
+def main() -> None:
+    """Walk, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("only", nargs="*", help="parts of the names of the cases to walk; all if not given")
+    only = parser.parse_args().only
+    print(f"{'':30s}{'forward':>12s}{'in a tooth':>12s}{'three ticks':>12s}{'jumps':>7s}   per unit")
+    for name, (make, row) in problems().items():
+        if only and not any(part in name for part in only):
+            continue
+        print(name)
+        problem = make()
+        for one in teeth.scan(problem, problem.start, row):
+            t = one.tunable
+            numbers = f"{one.forward:12.4g}{one.inside:12.4g}{one.over:12.4g}{one.jumps:7d}"
+            print(f"  {t.name:28s}{numbers}   {t.unit}", flush=True)
+
+
+if __name__ == "__main__":
+    with jax.enable_x64(True):
+        main()
