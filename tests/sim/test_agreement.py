@@ -63,7 +63,7 @@ def test_scenarios_reach_all_over_their_limits(drawn):
     assert batch.payload.mass.min() < 4.0 and batch.payload.mass.max() > 16.0
     for sign in (batch.push.force[:, :2] > 0.0).T:
         assert 0.25 < sign.mean() < 0.75
-    assert len(np.unique(batch.errors.mass_scale)) > 0.99 * batch.errors.mass_scale.size
+    assert batch.errors.mass_scale.std(axis=1).min() > 0.02  # each link its own
 
 
 def test_a_scenario_depends_on_seed_variant_and_number_only():
