@@ -30,8 +30,9 @@ def job(robot: str, variant: str, numbers: list[int], cache: Path | None = None)
 
 @pytest.fixture(scope="module", params=[("surena3", "both-repaired"), ("elkahlout", "thesis-off")])
 def drawn(request) -> tuple[Any, Any, list[Scenario]]:
-    params, controller, _ = agreement.set_up(*request.param)
-    return params, controller.gait, agreement.scenarios(job(*request.param, list(range(60))))
+    name, variant = request.param
+    params, controller, _ = agreement.set_up(name, variant)
+    return params, controller.gait, agreement.scenarios(job(name, variant, list(range(60))))
 
 
 def test_every_scenario_is_within_its_limits_and_starts_on_level_ground(drawn):
