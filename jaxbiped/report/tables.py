@@ -40,8 +40,8 @@ class Agreement(NamedTuple):
 def thesis_table(number: int) -> pl.DataFrame:
     """Read a table of elkahlout as printed: 1 without reflex, 2 with the original reflex, 3 with the modified one.
 
-    Toe and heel were calibrated on Table 4.1, the grip of the floor on 4.2 and 4.3. Table 4.2 lists 3.2 s twice and lacks
-    3.1 s and 4.1 s, as here.
+    Toe and heel were calibrated on Table 4.1, the grip of the floor on 4.2 and 4.3. Table 4.2 lists 3.2 s twice and
+    lacks 3.1 s and 4.1 s, as here.
 
     Args:
         number: 1, 2 or 3.
@@ -114,8 +114,8 @@ def beside_thesis(walks: pl.DataFrame, number: int, offset_s: float) -> str:
 def agreement(walks: pl.DataFrame, number: int, offset_s: float) -> Agreement:
     """Count the cells of a printed table that come out the same here.
 
-    Toe and heel were calibrated on Table 4.1, the grip of the floor on 4.2 and 4.3. Times and loads are the same if they
-    are to the nearest ms and g. A cell printed twice counts once. With several walks in a cell, ours succeeds if more
+    Toe and heel were calibrated on Table 4.1, the grip of the floor on 4.2 and 4.3. Times and loads are the same
+    if they are to the nearest ms and g. A cell printed twice counts once. With several walks in a cell, ours succeeds if more
     than half of them do.
 
     Args:
