@@ -115,8 +115,8 @@ def agreement(walks: pl.DataFrame, number: int, offset_s: float) -> Agreement:
     """Count the cells of a printed table that come out the same here.
 
     Toe and heel were calibrated on Table 4.1, the grip of the floor on 4.2 and 4.3. Times and loads are the same
-    if they are to the nearest ms and g. A cell printed twice counts once. With several walks in a cell, ours succeeds if
-    more than half of them do.
+    if they are to the nearest ms and g. A cell printed twice counts once. With several walks in a cell, ours succeeds
+    if more than half of them do.
 
     Args:
         walks: the rows of one arm; those without a load are left out.
