@@ -25,7 +25,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -373,6 +373,7 @@ def key_of(job: Job, scenario: Scenario, options: Options, contact: str) -> str:
     return digest.hexdigest()[:32]
 
 
+@cache
 def _sources() -> str:
     """Hash of the sources that a walk in C MuJoCo depends on."""
     package = Path(jaxbiped.__file__).parent
