@@ -575,7 +575,7 @@ class PayloadStage(eqx.Module):
             going = jnp.where(state.reflexes > 0, going, 1.0)
             begun = jnp.maximum(state.time - state.resume_time, 0.0)
             return state.resume_plan_time + begun + going * (time - state.time)
-        since = jnp.maximum(since, 0.0)
+        since = jnp.where(since < 0.0, 0.0, since)  # jnp.maximum would have half its derivative at 0
         lead = 0.5 * (timing.T_c - timing.T_s)
         r = jnp.minimum(0.5 * since / lead, 1.0)
         slow = lead * r * r * r * (2.0 - r) + jnp.maximum(since - 2.0 * lead, 0.0)
@@ -658,7 +658,8 @@ class PayloadStage(eqx.Module):
         share = state.share(-back)
         _, velocity, acceleration = state.start
         left = back * velocity + 0.5 * back * back * acceleration
-        return left + (time - state.time) * share * (velocity + back * acceleration)
+        since = time - state.time
+        return left + share * (since * (velocity + back * acceleration) + 0.5 * since * since * acceleration)
 
     def _body_time(self, state: PayloadState) -> Scalar:
         """Time in which the body gets to the middle [s].
