@@ -44,10 +44,10 @@ def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
         return plant.body_motion(world, q, v, t, DT)
 
     def touch(body: Any) -> Any:
-        return ground.contact(params, world.scenario.ground, world.scenario.terrain, body)
+        return ground.contact(params, world.scenario.ground, world.scenario.terrain, body, None, DT)
 
     def forces(body: Any, contact: Any) -> Any:
-        return plant.contact_force(body, contact), ground.drag_matrix(body, contact)
+        return plant.contact_force(body, contact), ground.damping_matrix(body, contact)
 
     def accelerate(body: Any, drag: Any, force: Any) -> Any:
         matrix = jax.tree.map(lambda m, d: m + DT * d, mjx_adapter.blocks(body.mass_matrix), drag)
@@ -64,7 +64,7 @@ def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
         contact = touch(body)
         force, drag = forces(body, contact)
         reference, _ = refer(t)
-        torque, _ = plant.servo_torque(world, reference, q, v, jnp.zeros((2, 6)))
+        _, torque, _ = plant.joint_torque(world, reference, q, v, jnp.zeros((2, 6)), DT)
         new = v + DT * accelerate(body, drag, force.at[6:].add(torque.reshape(-1)))
         return advance(q, new), new, statistics.update(statistics.init(body), body, contact, t, 5e-4)
 
@@ -74,7 +74,7 @@ def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
     return {
         "MJX: kinematics, inertia, bias": (move, (many_qpos, many_qvel, times)),
         "contact at the corners": (touch, (body,)),
-        "contact forces and drag matrix": (forces, (body, contact)),
+        "contact forces and damping matrix": (forces, (body, contact)),
         "solving for the acceleration": (accelerate, (body, drag, force)),
         "plan, inverse kinematics, feed-forward": (refer, (times,)),
         "integration": (advance, (many_qpos, many_qvel)),

@@ -278,13 +278,11 @@ def walk(job: Job, told: Told) -> dict[str, Columns]:
     """Walk all scenarios of a job on our ground and in C MuJoCo: columns by the name of the ground or contact."""
     params, controller, options = set_up(job.robot, job.variant)
     each = scenarios(job)
-    told(OURS, 0.0)
+    told("compliant ground", 0.0)
     mine = job.ground.under(stacked(each))
     found = {OURS: ours(params, controller, mine, job.ground.ticks(options))}
     native = Ground(sinkage=job.native_sinkage).under(stacked(each))
-    for contact in CONTACTS:
-        found[contact] = natives(job, params, controller, native, options, contact, told)
-    return found
+    return found | natives(job, params, controller, native, options, told)
 
 
 def stacked(each: Sequence[Any]) -> Any:
@@ -325,37 +323,32 @@ def columns(walks: Walk) -> Columns:
 
 
 def natives(
-    job: Job,
-    params: robot.RobotParams,
-    controller: Controller,
-    batch: Scenario,
-    options: Options,
-    contact: str,
-    told: Told,
-) -> Columns:
-    """Walks in C MuJoCo with one model of the contact; those that are not in the cache, in lockstep."""
-    n = len(job.numbers)
-    each = [jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i in range(n)]
-    keys = [key_of(job, scenario, options, contact) for scenario in each]
+    job: Job, params: robot.RobotParams, controller: Controller, batch: Scenario, options: Options, told: Told
+) -> dict[str, Columns]:
+    """Walks in C MuJoCo with every model of the contact; those that are not in the cache, all in lockstep."""
+    each = [jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i in range(len(job.numbers))]
+    walks = [(contact, scenario) for contact in CONTACTS for scenario in each]
+    keys = [key_of(job, scenario, options, contact) for contact, scenario in walks]
     rows = [recall(job.cache, key) for key in keys]
     missing = [i for i, row in enumerate(rows) if row is None]
     last = 0.0
 
-    def shown(reached: float, _: int) -> None:
+    def shown(reached: float, walking: int) -> None:
         nonlocal last
         if time.monotonic() > last + 1.0:
             last = time.monotonic()
-            told(contact, reached / DURATION)
+            told(f"{walking} of {len(missing)} walk in C MuJoCo", reached / DURATION)
 
     if missing:
-        told(contact, 0.0)
-        left = stacked([each[i] for i in missing])
-        done = replay_many(params, controller, left, DURATION, options, contact=contact, told=shown)
+        told("C MuJoCo", 0.0)
+        contacts, left = zip(*(walks[i] for i in missing), strict=True)
+        done = replay_many(params, controller, stacked(left), DURATION, options, contact=contacts, told=shown)
         for i, one in zip(missing, done, strict=True):
             rows[i] = row = {name: value[0] for name, value in columns(stacked([one])).items()}
             keep(job.cache, keys[i], row)
     known = [row for row in rows if row is not None]
-    return {name: np.stack([row[name] for row in known]) for name in COLUMNS}
+    table = {name: np.stack([row[name] for row in known]).reshape(len(CONTACTS), -1) for name in COLUMNS}
+    return {contact: {name: table[name][i] for name in COLUMNS} for i, contact in enumerate(CONTACTS)}
 
 
 # The cache of walks in C MuJoCo ----------------------------------------------------------------------------------

@@ -191,7 +191,7 @@ BAD = [
     (("obstacles", "--step", "8"), ("--step", "got 8", "0 to 7")),
     (("obstacles", "--step", "3", "3"), ("--step", "each once")),
     (("obstacles", "--steps", "0"), ("--steps", "0")),
-    (("obstacles", "--robot", "elkahlout", "--step", "1", "3", "--heights", "0.005"), ("overlap",)),
+    (("obstacles", "--gait", "cosine", "--step", "2", "4", "--heights", "0.005"), ("overlap",)),
     (("replay", "nowhere", "1"), ("table", "nowhere")),
     (("replay", "nowhere"), ("ROW", "required")),
     (("replay", "nowhere", "one"), ("ROW", "one")),

@@ -221,9 +221,9 @@ def test_bad_input_is_refused_in_one_line(capsys, tmp_path, args, says):
 
 
 def test_pads_that_overlap_are_refused():
-    """The thesis' steps are shorter than a pad is long."""
-    with pytest.raises(InputError, match=r"--obstacle: got pads under steps 1 and 3 that overlap"):
-        made(obstacles="3:0.01 1:0.02")
+    """Two steps of a cosine gait are shorter than a pad is long."""
+    with pytest.raises(InputError, match=r"--obstacle: got pads under steps 2 and 4 that overlap"):
+        made("surena3", gait="cosine", obstacles="4:0.01 2:0.02")
     made(obstacles="1:0.01 2:0.02 5:-0.01")
 
 
@@ -408,7 +408,12 @@ def test_elkahlout_under_a_payload(capsys, tmp_path):
         capsys, tmp_path, "--robot", "elkahlout", "--steps", "3", "--payload", "10@0.5", "--arm", "modified"
     )
     assert names(result) == ANY_WALK | PAYLOAD | REFLEX
-    assert result["payload"] == {"mass_kg": 10.0, "time_s": 0.5, "thesis_time_s": pytest.approx(-0.7)}
+    assert result["payload"] == {
+        "mass_kg": 10.0,
+        "time_s": 0.5,
+        "end_s": None,
+        "thesis_time_s": pytest.approx(-0.7),
+    }
     assert result["arm"] == {"landing": "off", "reflex": "modified"}
     reflex = result["reflexes"][0]
     assert 0.5 < reflex["triggered_s"] < 0.8

@@ -121,7 +121,7 @@ def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, tables.
 
 def agreement_in_words(arm: str, one: tables.Agreement) -> str:
     """One line; the first table is what the robot's assumed numbers were calibrated on."""
-    kind = "calibration" if THESIS[arm] == 1 else "prediction"
+    kind = "calibration" if THESIS[arm] == 1 else "grip chosen on it"
     which = f"Table 4.{THESIS[arm]} ({kind}), arm {arm}"
     if not one.compared:
         return f"{which}: no cell of it was run"

@@ -15,8 +15,8 @@ from jaxbiped.batch import NEVER, summary
 
 THESIS_TABLES = {
     1: "Table 4.1, no reflex (the calibration)",
-    2: "Table 4.2, original reflex (a prediction)",
-    3: "Table 4.3, modified reflex (a prediction)",
+    2: "Table 4.2, original reflex (the grip was chosen on it)",
+    3: "Table 4.3, modified reflex (the grip was chosen on it)",
 }
 """What elkahlout's tables are, and what each is here: the robot was fitted to the first, the others test it."""
 TICK, CROSS, NOT_RUN, DIFFERS = "✓", "✗", "·", "*"
@@ -40,8 +40,8 @@ class Agreement(NamedTuple):
 def thesis_table(number: int) -> pl.DataFrame:
     """Read a table of elkahlout as printed: 1 without reflex, 2 with the original reflex, 3 with the modified one.
 
-    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions. Table 4.2 lists 3.2 s twice and lacks
-    3.1 s and 4.1 s, as here.
+    Toe and heel were calibrated on Table 4.1, the grip of the floor on 4.2 and 4.3. Table 4.2 lists 3.2 s twice and
+    lacks 3.1 s and 4.1 s, as here.
 
     Args:
         number: 1, 2 or 3.
@@ -79,7 +79,7 @@ def tick_table(walks: pl.DataFrame, offset_s: float) -> str:
 def beside_thesis(walks: pl.DataFrame, number: int, offset_s: float) -> str:
     """Write the walks of one arm and a table of the thesis side by side, differing cells marked with a star.
 
-    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions, and the title says which it is. Times
+    Table 4.1 is what the robot was calibrated with; the grip of its floor was chosen on 4.2 and 4.3. Times
     and loads that were run are shown, and it is said how many cells of the thesis were not; a time printed twice has
     two rows. Where no cell was both printed and run, one line says so.
 
@@ -114,8 +114,8 @@ def beside_thesis(walks: pl.DataFrame, number: int, offset_s: float) -> str:
 def agreement(walks: pl.DataFrame, number: int, offset_s: float) -> Agreement:
     """Count the cells of a printed table that come out the same here.
 
-    Table 4.1 is what the robot was calibrated with; 4.2 and 4.3 are predictions. Times and loads are the same if they
-    are to the nearest ms and g. A cell printed twice counts once. With several walks in a cell, ours succeeds if more
+    Toe and heel were calibrated on Table 4.1, the grip of the floor on 4.2 and 4.3. Times and loads are the same
+    if they are to the nearest ms and g. A cell printed twice counts once. With several walks in a cell, ours succeeds if more
     than half of them do.
 
     Args:

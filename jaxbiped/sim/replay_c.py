@@ -7,7 +7,7 @@ MuJoCo's servos have no speed limit, and its contacts are linear springs and dam
 Many walks go on in lockstep: MuJoCo moves one robot after the other, everything else is done for all of them at once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -107,7 +107,7 @@ def replay_many(
     duration: float,
     options: Options | None = None,
     references: References | None = None,
-    contact: str = SPHERES,
+    contact: str | Sequence[str] = SPHERES,
     told: Told | None = None,
 ) -> list[Walk]:
     """Walk one robot in many scenarios, in lockstep; a robot that has failed stays as it is.
@@ -119,7 +119,7 @@ def replay_many(
         duration: as for `replay_c`.
         options: as for `replay_c`.
         references: as for `replay_c`.
-        contact: as for `replay_c`.
+        contact: as for `replay_c`, for all or for each.
         told: is told of the progress at every control tick.
 
     Returns:
@@ -128,17 +128,22 @@ def replay_many(
     Raises:
         ValueError: as from `replay_c`.
     """
-    contact = c_world.CONTACT.check("contact", contact)
     options = options or Options()
+    sinkage = np.asarray(scenarios.ground.sinkage)
+    contacts = [contact] * len(sinkage) if isinstance(contact, str) else list(contact)
+    if len(contacts) != len(sinkage):
+        raise ValueError(f"contact: got {len(contacts)} models, allowed: one, or {len(sinkage)}")
+    for one in contacts:
+        c_world.CONTACT.check("contact", one)
     ticks = round(duration / options.control_dt)
     table = make_feed_forward(robot, controller, duration, options)
-    sinkage = np.asarray(scenarios.ground.sinkage)
-    depth = {one: c_world.resting_depth(robot, float(one), options.dt, contact) for one in np.unique(sinkage)}
-    rests = jnp.asarray([depth[one] for one in sinkage], sinkage.dtype)
+    cases = list(zip(sinkage.tolist(), contacts, strict=True))
+    depth = {case: c_world.resting_depth(robot, case[0], options.dt, case[1]) for case in set(cases)}
+    rests = jnp.asarray([depth[case] for case in cases], sinkage.dtype)
     sunk = eqx.tree_at(lambda s: s.ground.sinkage, scenarios, rests)
     model = mjx_adapter.base_model(robot)
     qpos, first = _start(robot, model, controller, sunk, table, options.payload_model)
-    worlds = _Worlds(robot, scenarios, options, contact, np.asarray(qpos, float))
+    worlds = _Worlds(robot, scenarios, options, contacts, np.asarray(qpos, float))
     if references is None:
         pilot = _ClosedLoop(robot, controller, scenarios, table, options, first, worlds)
     else:
@@ -232,16 +237,23 @@ class _Worlds:
     """All simulations, and what they saw at the start of the last tick with a leading axis."""
 
     def __init__(
-        self, robot: RobotParams, scenarios: Scenario, options: Options, contact: str, qpos: np.ndarray
+        self, robot: RobotParams, scenarios: Scenario, options: Options, contacts: list[str], qpos: np.ndarray
     ):
-        self.robot, self.options, self.contact = robot, options, contact
+        self.robot, self.options = robot, options
         self.scenarios: Scenario = jax.tree.map(lambda leaf: np.asarray(leaf, float), scenarios)
         self.n = n = len(qpos)
-        self.lanes = [_Lane(robot, self.scenario(i), options, contact, qpos[i]) for i in range(n)]
+        self.lanes = [_Lane(robot, self.scenario(i), options, contacts[i], qpos[i]) for i in range(n)]
         self.walking = np.ones(n, bool)
         self.xpos, self.xmat = self._all("xpos"), self._all("xmat")
-        self.site, self.readings = self._all("site"), self._all("readings")
-        self.force = np.zeros((n, 8, 3))
+        self.site, self.force = self._all("site"), np.zeros((n, 8, 3))
+        self.groups: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self.readings: list[Any] = [None] * n
+        for contact in dict.fromkeys(contacts):
+            lanes = np.flatnonzero([one == contact for one in contacts])
+            rows = np.stack([self.lanes[i].readings for i in lanes])
+            self.groups[contact] = lanes, rows
+            for i, row in zip(lanes, rows, strict=True):
+                self.readings[i] = row
         self.qpos, self.qvel, self.torque = qpos.copy(), np.zeros((n, 18)), np.zeros((n, 12))
         payload, push = self.scenarios.payload, self.scenarios.push
         self.attach_time = np.where(payload.mass > 0.0, payload.time, np.inf)
@@ -303,10 +315,10 @@ class _Worlds:
             lane.ctrl[:] = ctrl[i]
             mujoco.mj_step(lane.model, lane.data)
             self.xpos[i], self.xmat[i] = lane.xpos, lane.xmat
-            self.site[i], self.readings[i] = lane.site, lane.readings
-        self.force = c_world.corner_forces(
-            self.robot, self.contact, self.readings, self.site[:, _SOLE_SITES], self.xmat[:, _FEET]
-        )
+            self.site[i], self.readings[i][:] = lane.site, lane.readings
+        sole, turn = self.site[:, _SOLE_SITES], self.xmat[:, _FEET]
+        for contact, (lanes, rows) in self.groups.items():
+            self.force[lanes] = c_world.corner_forces(self.robot, contact, rows, sole[lanes], turn[lanes])
 
     def _disturb(self, time: float) -> None:
         dt = self.options.dt
@@ -538,8 +550,8 @@ class _Tally:
         self.anchor, self.loaded = worlds.xpos[:, _FEET, :2], np.ones((n, 2), bool)
         self.p_world_trunk = worlds.xpos[:, TRUNK].copy()
         self.pelvis_height = _pelvis_height(worlds.xpos)
+        self.foot_force, self.p_world_foot = np.zeros((n, 2)), self.anchor
         self.names = list(vars(self))
-        self.vertical, self.place = np.zeros((n, 2)), self.anchor
         self.zmp = self.p_world_trunk[:, :2]
 
     def update(self, worlds: _Worlds, time: float) -> None:
@@ -550,15 +562,16 @@ class _Tally:
         loaded = vertical > LOADED
         landed = loaded & ~self.loaded
         if landed.any():
-            rise = np.where(landed, vertical - self.vertical, 1.0)
-            share = np.where(landed, (LOADED - self.vertical) / rise, 0.0)
-            touched = self.place + share[..., None] * (place - self.place)
+            rise = np.where(landed, vertical - self.foot_force, 1.0)
+            share = np.where(landed, (LOADED - self.foot_force) / rise, 0.0)
+            touched = self.p_world_foot + share[..., None] * (place - self.p_world_foot)
             self.touch_time = np.where(landed, time - dt * (1.0 - share), self.touch_time)
             self.anchor = np.where(landed[..., None], touched, self.anchor)
             self.touch_impulse = np.where(landed, 0.0, self.touch_impulse)
-        touching = (self.touch_time >= 0.0) & (time - self.touch_time < TOUCHDOWN)
-        force = np.where(touching, vertical, 0.0)
-        self.touch_impulse = self.touch_impulse + dt * force
+        begin = np.maximum(time - dt, self.touch_time)
+        within = np.where(self.touch_time >= 0.0, np.minimum(time, self.touch_time + TOUCHDOWN) - begin, 0.0)
+        force = np.where(within > 0.0, vertical, 0.0)
+        self.touch_impulse = self.touch_impulse + np.maximum(within, 0.0) * vertical
         slip = np.where(loaded, np.sqrt(((place - self.anchor) ** 2).sum(axis=-1)), 0.0)
         tilt = np.abs(_roll_pitch_yaw(worlds.xmat[:, TRUNK])[:, :2])
         for peak, value in (
@@ -577,7 +590,7 @@ class _Tally:
         fine = np.where(fell, FELL, np.where(airborne, AIRBORNE, OK))
         self.status = np.where(finite, fine, NONFINITE).astype(np.int32)
         self.end_time[:], self.p_world_trunk = time, trunk.copy()
-        self.loaded, self.vertical, self.place = loaded, vertical, place
+        self.loaded, self.foot_force, self.p_world_foot = loaded, vertical, place
 
     def press(self, worlds: _Worlds) -> None:
         """Centre of the vertical forces at the corners, at a control tick; the last one while nothing is loaded."""

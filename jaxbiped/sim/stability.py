@@ -74,12 +74,14 @@ def require_stable_dt(robot: RobotParams, dt: float, sinkage: float, gain_scale:
         robot: one robot, without a batch axis.
         dt: the tick [s].
         sinkage: how deep the robot sinks into the ground [m].
-        gain_scale: factor on the gains of the servos.
+        gain_scale: factor on the gains of the servos; gains that are not finite are not judged.
 
     Raises:
         ValueError: naming the tick and the longest one allowed.
     """
-    if not is_concrete(robot) or not _linear(robot, sinkage, gain_scale).grows(dt):
+    if not (is_concrete(robot) and np.isfinite(gain_scale * np.asarray(robot.servo.kp)).all()):
+        return
+    if not _linear(robot, sinkage, gain_scale).grows(dt):
         return
     longest = largest_stable_dt(robot, sinkage, gain_scale)
     raise Refusal(

@@ -112,13 +112,11 @@ def update(
     crossed = stats.p_world_foot + share[:, None] * (place - stats.p_world_foot)
     anchor = jnp.where(landed[:, None], crossed, stats.anchor)
     touch_time = jnp.where(landed, time - dt * (1.0 - share), stats.touch_time)
-    # What of the tick lies within the touchdown: from the touch on, and not beyond its end.
-    within = jnp.clip(
-        (touch_time + TOUCHDOWN - time) / dt + 1.0, 0.0, jnp.minimum(1.0, (time - touch_time) / dt)
-    )
-    within = jnp.where(touch_time >= 0.0, within, 0.0)
+    # For how long of the tick the foot is touching down.
+    within = jnp.minimum(time, touch_time + TOUCHDOWN) - jnp.maximum(time - dt, touch_time)
+    within = jnp.where(touch_time >= 0.0, jnp.maximum(within, 0.0), 0.0)
     force = jnp.where(within > 0.0, vertical, 0.0)
-    impulse = jnp.where(landed, 0.0, stats.touch_impulse) + dt * within * vertical
+    impulse = jnp.where(landed, 0.0, stats.touch_impulse) + within * vertical
     slip = jnp.where(loaded, jnp.sqrt(jnp.sum((place - anchor) ** 2, axis=1) + 1e-18), 0.0)
     tilt = jnp.abs(roll_pitch_yaw(body.rot_world_trunk)[:2])
     low = body.p_world_trunk[2] - body.p_world_foot[:, 2].min() < FALL_HEIGHT * stats.pelvis_height

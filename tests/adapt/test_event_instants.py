@@ -85,7 +85,7 @@ ARMS = {
     "original": ("original", LITERAL),
     "modified": ("modified", LITERAL),
     "modified, smooth ramp": ("modified", {**LITERAL, "smooth_ramp": True}),
-    "repaired": ("repaired", {"settling_time": 0.3, "shift_time": 0.1, "body_time": 0.7}),
+    "repaired": ("repaired", {"settling_time": 0.3, "shift_time": 0.1, "body_time": 0.6}),
 }
 
 

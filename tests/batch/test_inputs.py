@@ -271,13 +271,13 @@ def test_obstacle_or_hole_under_a_foot_at_the_start_is_refused(surena, height):
 
 
 def test_overlapping_pads_are_refused():
-    params = robot.load("elkahlout")
+    params = robot.load("surena3")
     gait = planner.CosineGait.preset(params, 6)
     arms = {"off": adapt.Controller(gait)}
-    apart = pl.DataFrame({"step_1_height_m": [0.01, 0.0], "step_3_height_m": [0.0, 0.01]})
+    apart = pl.DataFrame({"step_2_height_m": [0.01, 0.0], "step_4_height_m": [0.0, 0.01]})
     assert Experiment(params, arms, apart).rows == 2
-    both = pl.DataFrame({"step_1_height_m": [0.01], "step_3_height_m": [0.01]})
-    with pytest.raises(ValueError, match="steps 1 and 3 that overlap"):
+    both = pl.DataFrame({"step_2_height_m": [0.01], "step_4_height_m": [0.01]})
+    with pytest.raises(ValueError, match="steps 2 and 4 that overlap"):
         Experiment(params, arms, both)
 
 

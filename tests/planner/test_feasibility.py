@@ -297,11 +297,12 @@ def test_default_elkahlout_walk_tips_over_the_toes_at_the_end_of_single_support_
     assert np.allclose(beyond_toes[outside], -judged.zmp_margin[outside], atol=1e-12)
     stance = np.take_along_axis(np.asarray(targets.position.sole)[..., 0], 1 - phase.swing[:, None], 1)[:, 0]
     ahead = (judged.zmp[:, 0] - stance)[phase.support == SINGLE_SUPPORT].max()
-    assert beyond_toes.max() == pytest.approx(ahead - biped.p_sole_corner[..., 0].max(), abs=1e-9)
+    toe = float(biped.p_sole_corner[..., 0].max())
+    assert float(beyond_toes.max()) == pytest.approx(float(ahead) - toe, abs=1e-9)
     assert 0.0 < beyond_toes.max() < 0.05
     assert np.all(phase.support[outside] == SINGLE_SUPPORT)
-    assert np.all(phase.time_since_liftoff[outside] > 0.7 * phase.T_s[outside])
-    assert 0.05 < outside.mean() < 0.15
+    assert np.all(phase.time_since_liftoff[outside] > 0.6 * phase.T_s[outside])
+    assert 0.05 < outside.mean() < 0.25
     assert judged.friction.max() < 0.1
     assert judged.torque_share.max() < 0.5
     assert judged.speed_share.max() < 0.5

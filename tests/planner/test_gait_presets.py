@@ -15,7 +15,7 @@ from jaxbiped.planner.feasibility import Feasibility, instant
 PRESETS = {
     ("surena3", PolynomialGait): 0.074,
     ("surena3", CosineGait): 0.022,
-    ("elkahlout", PolynomialGait): 0.027,
+    ("elkahlout", PolynomialGait): 0.0205,
 }
 """Least ZMP margin of every preset that breaks no constraint [m]."""
 TIPPING = ("elkahlout", CosineGait)

@@ -113,7 +113,7 @@ def test_tables_of_text_are_of_one_arm(table):
 
 def test_beside_thesis_marks_what_differs(table):
     lines = tables.beside_thesis(only(table, "original"), 2, T_INI).splitlines()
-    assert "Table 4.2" in lines[0] and "prediction" in lines[0] and "275 of 276" in lines[0]
+    assert "Table 4.2" in lines[0] and "the grip was chosen on it" in lines[0] and "275 of 276" in lines[0]
     rows = [line for line in lines[4:] if line]
     assert len(rows) == 49  # 48 times of ours, one of which was printed twice
     starred = [line for line in rows if tables.DIFFERS in line]
@@ -151,7 +151,7 @@ def said_of_5_kg() -> str:
 
 def test_beside_thesis_says_in_one_line_that_nothing_compares():
     said = tables.beside_thesis(pl.DataFrame([walk("a", 0.35, 5.0, True)]), 3, T_INI)
-    assert said == "arm a: no cell of Table 4.3, modified reflex (a prediction), was run"
+    assert said == "arm a: no cell of Table 4.3, modified reflex (the grip was chosen on it), was run"
 
 
 def test_a_load_that_never_comes_is_not_in_the_tables():

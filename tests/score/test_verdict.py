@@ -47,6 +47,8 @@ def walk(
         touch_impulse=jnp.zeros(2),
         anchor=jnp.zeros((2, 2)),
         loaded=jnp.ones(2, bool),
+        foot_force=jnp.zeros(2),
+        p_world_foot=jnp.zeros((2, 2)),
         out_of_reach_time=jnp.array(0.25),
         p_world_trunk=jnp.zeros(3),
         pelvis_height=jnp.array(0.5),

@@ -30,8 +30,9 @@ def job(robot: str, variant: str, numbers: list[int], cache: Path | None = None)
 
 @pytest.fixture(scope="module", params=[("surena3", "both-repaired"), ("elkahlout", "thesis-off")])
 def drawn(request) -> tuple[Any, Any, list[Scenario]]:
-    params, controller, _ = agreement.set_up(*request.param)
-    return params, controller.gait, agreement.scenarios(job(*request.param, list(range(60))))
+    name, variant = request.param
+    params, controller, _ = agreement.set_up(name, variant)
+    return params, controller.gait, agreement.scenarios(job(name, variant, list(range(60))))
 
 
 def test_every_scenario_is_within_its_limits_and_starts_on_level_ground(drawn):
@@ -63,7 +64,7 @@ def test_scenarios_reach_all_over_their_limits(drawn):
     assert batch.payload.mass.min() < 4.0 and batch.payload.mass.max() > 16.0
     for sign in (batch.push.force[:, :2] > 0.0).T:
         assert 0.25 < sign.mean() < 0.75
-    assert len(np.unique(batch.errors.mass_scale)) == batch.errors.mass_scale.size
+    assert batch.errors.mass_scale.std(axis=1).min() > 0.02  # each link its own
 
 
 def test_a_scenario_depends_on_seed_variant_and_number_only():

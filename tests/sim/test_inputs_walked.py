@@ -23,11 +23,11 @@ def walked(params, arms, scenarios) -> pl.DataFrame:
 
 @pytest.fixture(scope="module")
 def loads(surena) -> pl.DataFrame:
-    """Rows: carried all the time; carried and taken off; put on and taken off, both in the walk."""
+    """Rows: carried all the time; carried and taken off; put on, and taken off while the robot settles."""
     params, gait = surena
     reflex = adapt.PayloadReflex.repaired(params, gait)
     table = pl.DataFrame(
-        {"load_kg": [8.0] * 3, "load_time_s": [0.0, 0.0, 2.5], "load_end_s": [1e6, 2.5, 2.9]}
+        {"load_kg": [8.0] * 3, "load_time_s": [0.0, 0.0, 2.5], "load_end_s": [1e6, 2.5, 4.5]}
     )
     return walked(params, {"repaired": adapt.Controller(gait, adapt.Landing(), reflex)}, table)
 
@@ -45,13 +45,13 @@ def test_taking_a_load_off_sets_off_the_reflex(loads):
     assert row["status"] == "ok" and row["success"]
 
 
-def test_a_load_put_on_and_taken_off_again_is_recovered_from(loads):
+def test_a_load_that_is_taken_off_while_the_robot_settles_is_recovered_from(loads):
     row = loads.row(2, named=True)
-    assert row["reflexes"] >= 1 and 2.5 < row["trigger_s"]
+    assert row["reflexes"] >= 1 and row["trigger_s"] > 2.5
     assert row["status"] == "ok" and row["success"]
 
 
-@pytest.mark.parametrize("name", ["repaired", "paper"])
+@pytest.mark.parametrize("name", ["repaired", pytest.param("paper", marks=pytest.mark.slow)])
 def test_switches_that_close_on_the_ground_walk_as_those_of_1_mm(surena, name):
     """On pads of 0, +2 and -2 cm, switches and stage alike."""
     params, gait = surena
@@ -70,4 +70,4 @@ def test_switches_that_close_on_the_ground_walk_as_those_of_1_mm(surena, name):
         np.testing.assert_allclose(on_time["x_m"], nearly["x_m"], atol=0.02)
         assert on_time["peak_roll_deg"].max() < nearly["peak_roll_deg"].max() + 1.0
     else:
-        assert on_time["success"][0]
+        assert on_time["success"].all()

@@ -298,7 +298,7 @@ def test_stands_on_every_contact_at_its_height_with_its_weight(contact):
 @pytest.mark.parametrize("contact", CONTACTS)
 def test_an_edge_under_the_soles_carries(contact):
     """Ground 1 mm higher from under the soles on: corners stand on it with the toes, a plate lies on its edge."""
-    case, edge, height = Case("elkahlout"), 0.02, 0.001
+    case, edge, height = Case("surena3"), 0.02, 0.001
     scenario = FLAT.with_rectangle((edge, -0.5), (1.0, 0.5), height)
     model = build_world(case.params, scenario, 5e-4, contact)
     data = mujoco.MjData(model)
@@ -312,4 +312,4 @@ def test_an_edge_under_the_soles_carries(contact):
     toe, heel = data.site_xpos[1], data.site_xpos[3]
     place = edge if contact == BOX else toe[0]
     carried = heel[2] + (toe - heel)[2] * (place - heel[0]) / (toe - heel)[0]
-    assert carried == pytest.approx(height, abs=float(FLAT.ground.sinkage))
+    assert carried == pytest.approx(height, abs=3e-4)

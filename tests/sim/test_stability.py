@@ -63,7 +63,7 @@ def fall(world: plant.Plant, state: Physics, angle: Any, dt: float, ticks: int) 
     reference = Reference(angle, jnp.zeros((2, 6)), jnp.zeros((2, 6)))
 
     def tick(state: Physics, _: None) -> Any:
-        state, _ = _physics_tick(world, dt, reference, state)
+        state, _seen = _physics_tick(world, dt, reference, state)
         return state, state.qpos[7:].reshape(2, 6)
 
     return jax.lax.scan(tick, state, None, length=ticks)[1]

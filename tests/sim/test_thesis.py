@@ -28,6 +28,7 @@ def _walks(params: Any, model: Any, controller: Any, scenarios: Any, duration: f
 
     def one(scenario: Any) -> Any:
         walk = simulate(params, model, controller, scenario, table, duration, options)
+        assert walk.controller is not None
         return judge(walk, controller.gait, scenario), walk.statistics, walk.controller.payload
 
     return jax.vmap(one)(scenarios)

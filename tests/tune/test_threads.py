@@ -29,7 +29,7 @@ def made_up(monkeypatch):
         loss, became = values(_, jnp.broadcast_to(at, (n, len(at))), scenarios)
         slope = 2.0 * scenarios.payload.mass[:, None] * at
         growth = jnp.broadcast_to(slope[:, None], (n, 8, len(at)))
-        return loss, slope, growth, {**became, "time": jnp.ones((n, 8))}
+        return loss, slope, jnp.zeros_like(slope), growth, {**became, "time": jnp.ones((n, 8))}
 
     monkeypatch.setattr(gradient, "walk_values", values)
     monkeypatch.setattr(gradient, "walk_slopes", slopes)
