@@ -7,6 +7,10 @@ where the three agree with each other: where they do not, the contact itself dec
 
     python sweeps/agreement.py --json runs/agreement.json
 
+Beside it stands how often each model agrees with the other two and ours, where those agree: what a ground can reach.
+Where ours is alone, all four walk NUDGES times more with every link's mass off by a thousandth at random. If a verdict
+changes, the scenario is on an edge and says nothing of the ground; the others must be explained.
+
 C MuJoCo does not know our damping, slip speed and tick, and its contacts are as stiff as --native-sinkage says. Its
 walks are kept in --cache, so that another ground of ours is compared in a fraction of the time; choose it on one half
 of the scenarios and report the other:
@@ -93,6 +97,8 @@ HEAVIEST = 20.0
 """Load [kg]."""
 MASSES = 0.1
 """How far every link's mass may be off, as a share."""
+NUDGES, NUDGE = 6, 1e-3
+"""How often a scenario is walked again in which ours is alone, and how far masses are off then, as a share."""
 PUSHES, PUSH_LENGTH = (20.0, 150.0), 0.1
 """Horizontal force [N], and its time [s]."""
 WHOLE, FRONT, BACK, SIDE = "whole", "front", "back", "side"
@@ -274,10 +280,34 @@ def scenarios(job: Job) -> list[Scenario]:
     return [drawn(params, controller.gait, (job.seed, number, i)) for i in job.numbers]
 
 
-def walk(job: Job, told: Told) -> dict[str, Columns]:
-    """Walk all scenarios of a job on our ground and in C MuJoCo: columns by the name of the ground or contact."""
-    params, controller, options = set_up(job.robot, job.variant)
+class Found(NamedTuple):
+    """The walks of a job, as columns by the name of the ground or contact."""
+
+    walks: dict[str, Columns]
+    nudged: dict[str, Columns]
+    """Of the scenarios in which ours is alone, NUDGES of each one after the other."""
+
+
+def walk(job: Job, told: Told) -> Found:
+    """Walk all scenarios of a job on our ground and in C MuJoCo, and nudged those in which ours is alone."""
     each = scenarios(job)
+    found = walk_these(job, each, told)
+    alone = [nudged(each[i], (job.seed, job.numbers[i])) for i in compare(found)["alone"]]
+    none = {name: {column: values[:0] for column, values in table.items()} for name, table in found.items()}
+    return Found(found, walk_these(job, sum(alone, []), told) if alone else none)
+
+
+def nudged(scenario: Scenario, seed: Sequence[int]) -> list[Scenario]:
+    """The same with the masses off by NUDGE at random."""
+    rng = np.random.default_rng(seed)
+    own = scenario.errors.mass_scale
+    scales = [jnp.asarray(own * rng.choice([1.0 - NUDGE, 1.0 + NUDGE], 13), own.dtype) for _ in range(NUDGES)]
+    return [eqx.tree_at(lambda s: s.errors.mass_scale, scenario, scale) for scale in scales]
+
+
+def walk_these(job: Job, each: Sequence[Scenario], told: Told) -> dict[str, Columns]:
+    """Columns by the name of the ground or contact."""
+    params, controller, options = set_up(job.robot, job.variant)
     told("compliant ground", 0.0)
     mine = job.ground.under(stacked(each))
     found = {OURS: ours(params, controller, mine, job.ground.ticks(options))}
@@ -326,7 +356,7 @@ def natives(
     job: Job, params: robot.RobotParams, controller: Controller, batch: Scenario, options: Options, told: Told
 ) -> dict[str, Columns]:
     """Walks in C MuJoCo with every model of the contact; those that are not in the cache, all in lockstep."""
-    each = [jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i in range(len(job.numbers))]
+    each = [jax.tree.map(lambda leaf, i=i: leaf[i], batch) for i in range(len(batch.ground.sinkage))]
     walks = [(contact, scenario) for contact in CONTACTS for scenario in each]
     keys = [key_of(job, scenario, options, contact) for contact, scenario in walks]
     rows = [recall(job.cache, key) for key in keys]
@@ -435,7 +465,16 @@ def compare(found: Mapping[str, Columns]) -> dict[str, Any]:
         "undecided": int((~decided).sum()),
         "apart": {name: apart(mine, walks) for name, walks in models.items()},
         "alone": np.flatnonzero(decided & (upright != votes[0])).tolist(),
+        "yardstick": {name: one_of_four(found, name) for name in models},
     }
+
+
+def one_of_four(found: Mapping[str, Columns], name: str) -> dict[str, Any]:
+    """How often a ground agrees with the three others where these agree with each other."""
+    own = survived(found[name])
+    votes = np.stack([survived(walks) for other, walks in found.items() if other != name])
+    decided = (votes == votes[0]).all(axis=0)
+    return share((own == votes[0])[decided])
 
 
 def apart(one: Columns, other: Columns) -> dict[str, Any]:
@@ -464,31 +503,38 @@ def joined(parts: Sequence[Mapping[str, Columns]]) -> dict[str, Columns]:
     }
 
 
-def disagreement(job: Job, scenario: Scenario, number: int, found: Mapping[str, Columns], i: int) -> Any:
-    """A walk on which ours is alone, with all that is needed to walk it again."""
+def disagreement(job: Job, scenario: Scenario, found: Found, i: int, place: int) -> Any:
+    """A walk on which ours is alone, with all that is needed to walk it again, and what a nudge makes of it."""
+    number = job.numbers[i]
+    nudges = slice(NUDGES * place, NUDGES * (place + 1))
+    changed = {
+        ground: int((survived(found.nudged[ground])[nudges] != survived(table)[i]).sum())
+        for ground, table in found.walks.items()
+    }
     walks = {
         ground: {
             name: STATUS_TEXT[int(table[name][i])] if name == "status" else round(float(table[name][i]), 3)
             for name in COLUMNS
         }
-        for ground, table in found.items()
+        for ground, table in found.walks.items()
     }
-    return {"variant": job.variant, "number": number, "scenario": described(scenario), "walks": walks}
+    named = {"variant": job.variant, "number": number, "scenario": described(scenario)}
+    return {**named, "walks": walks, "changed_by_a_nudge": changed}
 
 
-def report(jobs: Sequence[Job], results: Sequence[Mapping[str, Columns]]) -> dict[str, Any]:
+def report(jobs: Sequence[Job], results: Sequence[Found]) -> dict[str, Any]:
     """The comparison of every robot, as a whole and by variant."""
     said = {}
     for name in dict.fromkeys(job.robot for job in jobs):
         own = [(job, found) for job, found in zip(jobs, results, strict=True) if job.robot == name]
         alone = []
         for job, found in own:
-            places = compare(found)["alone"]
+            places = compare(found.walks)["alone"]
             each = scenarios(job) if places else []
-            alone += [disagreement(job, each[i], job.numbers[i], found, i) for i in places]
+            alone += [disagreement(job, each[i], found, i, place) for place, i in enumerate(places)]
         said[name] = {
-            "all": compare(joined([found for _, found in own])),
-            "variants": {job.variant: compare(found) for job, found in own},
+            "all": compare(joined([found.walks for _, found in own])),
+            "variants": {job.variant: compare(found.walks) for job, found in own},
             "alone": alone,
         }
     return said
@@ -500,7 +546,11 @@ def show(said: Mapping[str, Any]) -> None:
         whole = one["all"]
         print(f"\n{name}: {whole['n']} walks of {DURATION:g} s; survived: {whole['survived']}")
         print(f"  verdicts agree where the models agree with each other: {_share(whole['decided'])}")
+        on_edge = sum(any(row["changed_by_a_nudge"].values()) for row in one["alone"])
+        print(f"  of {len(one['alone'])} in which ours is alone, {on_edge} are on an edge")
         print(f"  the models do not agree with each other in {whole['undecided']}")
+        for contact, agree in whole["yardstick"].items():
+            print(f"  yardstick: {contact} agrees with the three others where these agree: {_share(agree)}")
         for contact, agree in whole["each"].items():
             print(f"  {contact:8s} {_share(agree)}; {_apart(whole['apart'][contact])}")
         print("  by variant: agreement where the models agree, undecided, survived ours and in C MuJoCo")
@@ -510,7 +560,8 @@ def show(said: Mapping[str, Any]) -> None:
         for row in one["alone"]:
             print(f"  alone: {row['variant']} number {row['number']}: {json.dumps(row['scenario'])}")
             for ground, walks in row["walks"].items():
-                print(f"      {ground:10s} {walks}")
+                changed = f"{row['changed_by_a_nudge'][ground]} of {NUDGES} change by a nudge"
+                print(f"      {ground:10s} {walks}; {changed}")
 
 
 def _share(agree: Mapping[str, Any]) -> str:
@@ -541,11 +592,11 @@ def _begin(words: Any) -> None:
     runtime.keep_compiled_kernels()
 
 
-def _work(number: int, job: Job) -> dict[str, Columns]:
+def _work(number: int, job: Job) -> Found:
     return walk(job, lambda what, done: _WORDS.put((number, what, done)))
 
 
-def walk_all(jobs: Sequence[Job], processes: int) -> list[dict[str, Columns]]:
+def walk_all(jobs: Sequence[Job], processes: int) -> list[Found]:
     """Walk every job, each in one of some processes, and say how far it is every few seconds."""
     context, began = multiprocessing.get_context("spawn"), time.monotonic()
     words: Any = context.Queue()

@@ -56,12 +56,12 @@ def payload(arm: str, names: Any = ("payload",)) -> Problem:
 
 
 def landing(arm: str, names: Any = ("landing",)) -> Problem:
-    """surena3 with a landing arm, onto a pad and into a hole under its first step, until the next one lands."""
+    """surena3 with a landing arm, onto a pad and into a hole under its second step, until the next one lands."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 4)
     controller = Controller(gait, landing=getattr(Landing, arm.split(",")[0])(**LANDINGS[arm]))
-    scenarios = jb.batch.grid(step_0_height_m=(PAD, -PAD))
-    duration = float(gait.timing.touchdown(1)) + 0.2
+    scenarios = jb.batch.grid(step_1_height_m=(PAD, -PAD))
+    duration = float(gait.timing.touchdown(2)) + 0.2
     experiment = jb.batch.Experiment(robot, {arm: controller}, scenarios, duration=duration)
     return Problem.of(experiment, names)
 

@@ -1,9 +1,11 @@
 """What a walk costs, smooth in the numbers of its controller: for tuning by gradients.
 
 A loss integrates rates over a walk and makes one number of the integrals and of the walk's last state. Rates have to be
-continuous in time: a rate that jumps at an event gives a derivative that misses the shift of the event. After a failure
-only the lean goes on, at its greatest, so that a later fall costs less; the rest is masked. What a walk can cost is
-bounded: derivatives of walks that fall grow beyond any use, and would drown those of all others in a mean.
+continuous in time: a rate that jumps at an event gives a derivative that misses the shift of the event. Nor may they
+look at single forces: a touchdown lasts a tick or two, and a power of what a sample meets of it goes up and down as the
+touch moves through a tick. The low-passed forces, which keep the impulse, do not. After a failure only the lean goes
+on, at its greatest, so that a later fall costs less; the rest is masked. What a walk can cost is bounded: derivatives
+of walks that fall grow beyond any use, and would drown those of all others in a mean.
 """
 
 import math
@@ -42,9 +44,9 @@ class WalkLoss(eqx.Module):
     lean: float = 5.0
     """Of the mean square of the tilt over 10 deg, in units of 10 deg: what pulls walks back that are about to fall."""
     force: float = 1.0
-    """Of the touchdown force over the weight: the fourth mean over 10 ms, near its peak."""
+    """Of the low-passed touchdown force over the weight: the fourth mean over 10 ms, near its peak."""
     impulse: float = 5.0
-    """Of the integral of the foot forces over the weight [s]."""
+    """Of the integral of that force [s]."""
     slip: float = 0.1
     """Of the slips of both feet [cm]."""
     margin: float = 1.0
@@ -59,8 +61,9 @@ class WalkLoss(eqx.Module):
         tilt = sample.roll_pitch_yaw[:2]
         over = jnp.clip(jnp.max(jnp.abs(tilt)), 0.0, FALL_TILT) - _LEAN
         weight = robot.total_mass * GRAVITY
-        excess = jnp.maximum(sample.foot_force[:, 2] / weight - 1.0, 0.0)
-        share, inside = _pressure_margin(robot, sample.corner_force)
+        assert sample.filtered_corner_force is not None
+        excess = jnp.maximum(sample.filtered_corner_force.sum(axis=1) / weight - 1.0, 0.0)
+        share, inside = _pressure_margin(robot, sample.filtered_corner_force)
         short = jnp.maximum(1.0 - inside / _MARGIN, 0.0)
         masked = jnp.stack(
             [

@@ -21,6 +21,10 @@ from jaxbiped.sim import mjx_adapter, spatial
 from jaxbiped.sim.mjx_adapter import BodyMotion, JointMatrix
 from jaxbiped.sim.scenario import EDGE_WIDTH, Ground, Terrain
 
+FORCE_FILTER = 0.01
+"""Time constant of low-passed corner forces [s]. A touchdown lasts a tick or two, and how much of it a single reading
+meets depends on where in a tick the foot comes down; its impulse does not."""
+
 
 class Contact(eqx.Module):
     """Ground forces at one instant."""
@@ -157,6 +161,11 @@ def normal_force(contact: Contact) -> Float[Array, "2 4"]:
     steepness = jnp.sum(contact.gradient * contact.gradient, axis=-1)
     along = jnp.sum(contact.force * contact.gradient, axis=-1) / jnp.sqrt(steepness)
     return jnp.maximum(along, 0.0)
+
+
+def low_passed(filtered: Float[Array, "2 4"], contact: Contact, dt: float) -> Float[Array, "2 4"]:
+    """Low-passed vertical corner forces after one more tick of `dt` [s]: over time they have the forces' impulse."""
+    return filtered + dt / (FORCE_FILTER + dt) * (contact.force[..., 2] - filtered)
 
 
 def damping_matrix(body: BodyMotion, contact: Contact) -> JointMatrix:

@@ -98,6 +98,7 @@ def physics_tick(
         qvel=step.qvel,
         integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
         switches=sensors.read_switches(state.switches, touch.gap, time, dt, world.scenario.sensors),
+        filtered=ground.low_passed(state.filtered, touch, dt),
         statistics=statistics.update(state.statistics, step.body, touch, time + dt, dt),
     )
     stop = state.statistics.status != statistics.OK

@@ -99,6 +99,8 @@ class Physics(eqx.Module):
     switches: SwitchState
     pressed: Float[Array, "2 4"]
     """Normal force at every sole corner in the last tick, which friction goes by [N]."""
+    filtered: Float[Array, "2 4"]
+    """Vertical force at every sole corner, low-passed with `ground.FORCE_FILTER` [N]."""
     statistics: Statistics
 
 
@@ -138,6 +140,8 @@ class Sample(eqx.Module):
     """MuJoCo coordinates, for replay and drawing."""
     targets: Targets
     """What the controller asked for."""
+    filtered_corner_force: Float[Array, "*n 2 4"] | None = None
+    """Vertical force on each sole corner, low-passed with `ground.FORCE_FILTER` [N]; None of walks in C MuJoCo."""
 
 
 class Walk(eqx.Module):
@@ -270,6 +274,7 @@ def _start(world: Plant, controller: Controller, torque: FeedForward, options: O
         integral=jnp.zeros((2, 6), qpos.dtype),
         switches=sensors.init_switches(touch.gap, world.scenario.sensors),
         pressed=ground.normal_force(touch),
+        filtered=touch.force[..., 2],
         statistics=statistics.init(body),
     )
     zmp = sensors.centre_of_pressure(touch, body.p_world_trunk[:2])
@@ -380,6 +385,7 @@ def _physics_tick(
         integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
         switches=sensors.read_switches(state.switches, touch.gap, time, dt, scenario.sensors),
         pressed=ground.normal_force(touch),
+        filtered=ground.low_passed(state.filtered, touch, dt),
         statistics=statistics.update(state.statistics, body, touch, time + dt, dt),
     )
     return _frozen(state.statistics.status != statistics.OK, state, new), (body, touch, by_servo)
@@ -424,4 +430,5 @@ def _sample(
         torque=torque,
         qpos=state.physics.qpos,
         targets=targets,
+        filtered_corner_force=state.physics.filtered,
     )

@@ -34,6 +34,7 @@ def sample(roll=0.0, pitch=0.0, corners=None):
         torque=jnp.zeros((2, 6)),
         qpos=jnp.zeros(19),
         targets=TARGETS,
+        filtered_corner_force=force,
     )
 
 
@@ -104,7 +105,7 @@ def test_what_a_walk_costs_is_bounded_and_its_slope_fades():
 def test_rates_have_derivatives_where_nothing_is_loaded():
     def total(x):
         corners = jnp.zeros((2, 4)) + 0.0 * x
-        tilted = {"corner_force": corners, "roll_pitch_yaw": jnp.array([0.1, 0.0, 0.0]) * x}
+        tilted = {"filtered_corner_force": corners, "roll_pitch_yaw": jnp.array([0.1, 0.0, 0.0]) * x}
         one = dataclasses.replace(sample(roll=0.0), **tilted)
         return WalkLoss().rate(ROBOT, one, jnp.asarray(True)).sum()
 

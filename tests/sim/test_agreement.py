@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -145,6 +146,9 @@ FOUND = {
     "box": made_up([0, 1, 1, 0, 1, 0], tilt_deg=2.0, force_N=110.0),
     "stiff": made_up([0, 2, 1, 0, 0, 0], tilt_deg=2.0, force_N=110.0),
 }  # fmt: skip
+"""Ours is alone in 1 and 3."""
+NUDGED = {name: made_up([0] * 12) for name in FOUND} | {"box": made_up([0] * 4 + [1] * 3 + [0] * 5)}
+NOBODY = {name: made_up([]) for name in FOUND}
 
 
 def test_verdicts_are_counted_where_the_models_agree_and_elsewhere():
@@ -154,6 +158,8 @@ def test_verdicts_are_counted_where_the_models_agree_and_elsewhere():
     assert said["undecided"] == 2
     assert said["alone"] == [1, 3]
     assert [said["each"][name]["agree"] for name in ("spheres", "box", "stiff")] == [3, 3, 4]
+    others = [said["yardstick"][name] for name in ("spheres", "box", "stiff")]
+    assert [(one["agree"], one["n"]) for one in others] == [(2, 3), (2, 3), (2, 2)]
 
 
 def test_walks_apart_are_measured_where_both_walk_or_both_fall():
@@ -169,7 +175,8 @@ def test_walks_apart_are_measured_where_both_walk_or_both_fall():
 
 def test_report_tells_of_every_walk_on_which_ours_is_alone(capsys):
     one, other = job("elkahlout", "off", list(range(6))), job("elkahlout", "thesis-off", [1, 3, 5, 7, 9, 11])
-    said = agreement.report([one, other], [FOUND, {name: FOUND["box"] for name in FOUND}])
+    same = agreement.Found({name: FOUND["box"] for name in FOUND}, NOBODY)
+    said = agreement.report([one, other], [agreement.Found(FOUND, NUDGED), same])
     robot = said["elkahlout"]
     assert robot["all"]["n"] == 12 and robot["all"]["decided"]["agree"] == 8
     assert robot["variants"]["thesis-off"]["decided"]["agree"] == 6
@@ -177,8 +184,11 @@ def test_report_tells_of_every_walk_on_which_ours_is_alone(capsys):
     row = robot["alone"][0]
     assert row["scenario"] == agreement.described(agreement.scenarios(one)[1])
     assert row["walks"]["stiff"]["status"] == "nonfinite" and row["walks"][OURS]["end_time_s"] == 9.0
+    assert row["changed_by_a_nudge"] == {OURS: 0, "spheres": 6, "box": 4, "stiff": 6}
+    assert robot["alone"][1]["changed_by_a_nudge"] == {OURS: 6, "spheres": 0, "box": 1, "stiff": 0}
     agreement.show(said)
     text = capsys.readouterr().out
+    assert "of 2 in which ours is alone, 2 are on an edge" in text
     assert "8 of 10, 80.0 % (49 to 94)" in text and "alone: off number 3" in text
 
 
@@ -224,8 +234,26 @@ def test_walks_in_lockstep_are_those_of_each_alone():
     ("robot", "variant"), [("surena3", "both-repaired"), ("elkahlout", "thesis-payload-modified")]
 )
 def test_our_ground_agrees_with_c_mujoco_where_its_models_of_the_contact_agree(robot, variant, tmp_path):
-    said = compare(agreement.walk(job(robot, variant, list(range(24)), tmp_path), lambda *_: None))
+    found = agreement.walk(job(robot, variant, list(range(24)), tmp_path), lambda *_: None)
+    said = compare(found.walks)
     decided = said["decided"]
     assert decided["n"] >= 15
     assert decided["agree"] >= 0.9 * decided["n"], said
-    assert len(list(tmp_path.glob("*.npz"))) == 24 * len(CONTACTS)
+    walks = 24 + agreement.NUDGES * len(said["alone"])
+    assert all(len(found.nudged[name]["status"]) == walks - 24 for name in found.nudged)
+    assert len(list(tmp_path.glob("*.npz"))) == walks * len(CONTACTS)
+
+
+def test_a_nudge_moves_masses_only_and_by_a_thousandth():
+    scenario = agreement.scenarios(job("elkahlout", "off", [2]))[0]
+    each = agreement.nudged(scenario, (0, 2))
+    assert len(each) == agreement.NUDGES and len({one.errors.mass_scale.tobytes() for one in map(lane, each)}) > 1
+    for one in each:
+        ratio = np.asarray(one.errors.mass_scale) / np.asarray(scenario.errors.mass_scale)
+        np.testing.assert_allclose(np.abs(ratio - 1.0), agreement.NUDGE, rtol=1e-3)
+        back = eqx.tree_at(lambda s: s.errors.mass_scale, one, scenario.errors.mass_scale)
+        assert same(back, scenario)
+
+
+def lane(scenario: Scenario) -> Any:
+    return jax.tree.map(np.asarray, scenario)
