@@ -292,9 +292,9 @@ def walk(job: Job, told: Told) -> Found:
     """Walk all scenarios of a job on our ground and in C MuJoCo, and nudged those in which ours is alone."""
     each = scenarios(job)
     found = walk_these(job, each, told)
-    alone = [nudged(each[i], (job.seed, job.numbers[i])) for i in compare(found)["alone"]]
+    alone = [one for i in compare(found)["alone"] for one in nudged(each[i], (job.seed, job.numbers[i]))]
     none = {name: {column: values[:0] for column, values in table.items()} for name, table in found.items()}
-    return Found(found, walk_these(job, sum(alone, []), told) if alone else none)
+    return Found(found, walk_these(job, alone, told) if alone else none)
 
 
 def nudged(scenario: Scenario, seed: Sequence[int]) -> list[Scenario]:

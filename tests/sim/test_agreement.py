@@ -247,7 +247,10 @@ def test_our_ground_agrees_with_c_mujoco_where_its_models_of_the_contact_agree(r
 def test_a_nudge_moves_masses_only_and_by_a_thousandth():
     scenario = agreement.scenarios(job("elkahlout", "off", [2]))[0]
     each = agreement.nudged(scenario, (0, 2))
-    assert len(each) == agreement.NUDGES and len({one.errors.mass_scale.tobytes() for one in map(lane, each)}) > 1
+    assert (
+        len(each) == agreement.NUDGES
+        and len({one.errors.mass_scale.tobytes() for one in map(lane, each)}) > 1
+    )
     for one in each:
         ratio = np.asarray(one.errors.mass_scale) / np.asarray(scenario.errors.mass_scale)
         np.testing.assert_allclose(np.abs(ratio - 1.0), agreement.NUDGE, rtol=1e-3)
