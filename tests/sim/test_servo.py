@@ -139,7 +139,9 @@ def airborne(params, stiffer, limited, seed):
     switches = sensors.init_switches(jnp.full((2, 4), 9.0), world.scenario.sensors)
     at_rest, no_error = jnp.zeros((), jnp.int32), jnp.zeros(SHAPE)
     unloaded, stats = jnp.zeros((2, 4)), statistics.init(body)
-    state = Physics(at_rest, jnp.asarray(qpos), jnp.asarray(qvel), no_error, switches, unloaded, stats)
+    state = Physics(
+        at_rest, jnp.asarray(qpos), jnp.asarray(qvel), no_error, switches, unloaded, unloaded, stats
+    )
     return world, state, oracle(params, actuated=True, timestep=DT)
 
 

@@ -54,7 +54,8 @@ def hanging(params: RobotParams, angle: Any) -> tuple[plant.Plant, Physics]:
     stats = eqx.tree_at(
         lambda s: s.pelvis_height, statistics.init(body), jnp.full((), -10.0)
     )  # never too low
-    return world, Physics(jnp.zeros((), jnp.int32), qpos, jnp.zeros(18), still, switches, unloaded, stats)
+    moving = (qpos, jnp.zeros(18), still, switches, unloaded, unloaded)
+    return world, Physics(jnp.zeros((), jnp.int32), *moving, stats)
 
 
 @eqx.filter_jit
