@@ -39,8 +39,6 @@ from mujoco import mjx  # noqa: E402
 
 from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
-from jaxbiped.sim import mjx_adapter  # noqa: E402
-from jaxbiped.sim.rollout import make_feed_forward, simulate  # noqa: E402
 
 DT = 5e-4
 CONTROL_EVERY = {"elkahlout": 1, "surena3": 4}
@@ -156,18 +154,17 @@ class Setup(NamedTuple):
     params: robot.RobotParams
     gait: Any
     options: sim.Options
-    torque: Any
-    """Table of feed-forward torques."""
+    simulation: sim.Simulation
+    """All of them, ready to walk."""
 
 
-def setup(name: str, seconds: float) -> Setup:
-    """The robot, its gait and the feed-forward of the first `seconds` of it."""
+def setup(name: str) -> Setup:
+    """The robot and its gait."""
     params = robot.load(name)
     kind = planner.PolynomialGait if name == "surena3" else planner.CosineGait
     gait = kind.preset(params, N_STEPS)
     options = sim.Options(dt=DT, control_every=CONTROL_EVERY[name])
-    table = eqx.filter_jit(make_feed_forward)(params, Controller(gait), seconds, options)
-    return Setup(params, gait, options, table)
+    return Setup(params, gait, options, sim.prepare(params, Controller(gait), options))
 
 
 def scenarios(n: int) -> sim.Scenario:
@@ -186,16 +183,14 @@ def scenarios(n: int) -> sim.Scenario:
 
 def compiled_loop(name: str, n: int, ticks: int) -> tuple[Any, Callable[[], Any], float]:
     """The closed loop for n scenarios: compiled, a call that waits for its output, and how long compiling took [s]."""
-    one = setup(name, 2.0)
-    model = mjx_adapter.base_model(one.params)
+    one = setup(name)
+    arrays, rest = eqx.partition(one.simulation, eqx.is_array)
 
-    def run(params: Any, model: Any, gait: Any, torque: Any, batch: Any) -> Any:
-        def walk(s: Any) -> Any:
-            return simulate(params, model, Controller(gait), s, torque, ticks * DT, one.options).statistics
+    def run(arrays: Any, batch: Any, ticks: Any) -> Any:
+        simulation: sim.Simulation = eqx.combine(arrays, rest)
+        return jax.vmap(lambda scenario: simulation.walk(scenario, ticks).statistics)(batch)
 
-        return jax.vmap(walk)(batch)
-
-    args = (one.params, model, one.gait, one.torque, scenarios(n))
+    args = (arrays, scenarios(n), one.simulation.ticks(ticks * DT))
     began = time.perf_counter()
     compiled = jax.jit(run, compiler_options=runtime.options()).lower(*args).compile()
     seconds = time.perf_counter() - began
@@ -241,8 +236,8 @@ class NumpyController:
         self.cosine = isinstance(one.gait, planner.CosineGait)
         self.timing = jax.tree.map(float, self.gait.timing)
         self.robot = jax.tree.map(lambda leaf: np.asarray(leaf, float), one.params)
-        self.torque = np.asarray(one.torque.torque, float)
-        self.interval = one.torque.interval
+        self.torque = np.asarray(one.simulation.torque.torque, float)
+        self.interval = one.simulation.torque.interval
         self.bent = self.robot.thigh_length + self.robot.shank_length
         self.gain = self.robot.servo.kv / self.robot.servo.kp
 
@@ -331,7 +326,7 @@ class Native(NamedTuple):
 
 def native(name: str, seconds: float) -> Native:
     """The robot's own MuJoCo model, standing on its contacts, and its controller."""
-    one = setup(name, seconds)
+    one = setup(name)
     controller = NumpyController(one)
     model = sim.build_model(one.params, DT)
     data = mujoco.MjData(model)
@@ -398,7 +393,7 @@ def controller_error(name: str, controller: NumpyController) -> float:
     """Largest difference between the angles of the NumPy controller and the project's own, over a walk [rad]."""
     from jaxbiped.kinematics import joint_angles
 
-    one = setup(name, 0.01)
+    one = setup(name)
     times = np.linspace(0.0, float(one.gait.duration), 200, dtype=np.float32)
 
     def angles(t: Any) -> Any:

@@ -22,7 +22,7 @@ import jax.numpy as jnp  # noqa: E402
 from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
 from jaxbiped.sim import ground, mjx_adapter, plant, statistics  # noqa: E402
-from jaxbiped.sim.rollout import make_feed_forward, servo_reference  # noqa: E402
+from jaxbiped.sim.simulation import servo_reference  # noqa: E402
 
 DT = 5e-4
 REPEATS = 9
@@ -33,8 +33,9 @@ def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
     params = robot.load(name)
     gait = {"surena3": planner.PolynomialGait, "elkahlout": planner.CosineGait}[name].preset(params, 4)
     options = sim.Options(dt=DT)
-    table = make_feed_forward(params, Controller(gait), float(gait.duration), options)
-    world = plant.make_plant(params, mjx_adapter.base_model(params), sim.Scenario.flat())
+    simulation = sim.prepare(params, Controller(gait), options)
+    table = simulation.torque
+    world = plant.make_plant(params, simulation.model, sim.Scenario.flat())
     qpos = jnp.concatenate([jnp.array([0.0, 0, 0.5, 1, 0, 0, 0]), params.joint_range.mean(-1).reshape(-1)])
     many_qpos = qpos + 1e-3 * jax.random.normal(jax.random.key(0), (batch, qpos.size))
     many_qvel = 1e-2 * jax.random.normal(jax.random.key(1), (batch, 18))

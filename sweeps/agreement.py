@@ -29,7 +29,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,15 +50,13 @@ from jaxbiped.sim import (
     Options,
     Scenario,
     Walk,
-    mjx_adapter,
+    prepare,
     require_clear_start,
     require_swing_clears,
-    simulate,
     swing_height,
 )
 from jaxbiped.sim.c_world import CONTACTS
 from jaxbiped.sim.replay_c import replay_many
-from jaxbiped.sim.rollout import make_feed_forward
 from jaxbiped.sim.scenario import PAD_AROUND, PAD_BEHIND, RANGES, pad_under
 
 OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = (
@@ -322,18 +320,7 @@ def stacked(each: Sequence[Any]) -> Any:
 
 def ours(params: robot.RobotParams, controller: Controller, batch: Scenario, options: Options) -> Columns:
     """Walks on the compliant ground, all at once."""
-    model = mjx_adapter.base_model(params)
-    table = make_feed_forward(params, controller, DURATION, options)
-
-    @runtime.jit
-    def run(controller: Controller, batch: Scenario) -> Walk:
-        return jax.vmap(partial(_one, params, model, controller, table, options))(batch)
-
-    return columns(run(controller, batch))
-
-
-def _one(params: Any, model: Any, controller: Any, table: Any, options: Options, scenario: Scenario) -> Walk:
-    return simulate(params, model, controller, scenario, table, DURATION, options)
+    return columns(prepare(params, controller, options).run_many(batch, DURATION))
 
 
 def columns(walks: Walk) -> Columns:

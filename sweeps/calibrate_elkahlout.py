@@ -28,7 +28,6 @@ import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
 from jaxbiped.report import tables
 from jaxbiped.score import judge, watch_time
-from jaxbiped.sim import feed_forward, mjx_adapter
 
 STEPS = 7
 FRICTIONS = (0.06, 0.075, 0.09, 0.105, 0.12, 0.15, 0.2, 0.3, 0.5, 0.8)
@@ -64,7 +63,8 @@ class Walker:
         reflex = None if name == "off" else getattr(PayloadReflex, name)(robot, gait)
         controller = Controller(gait, payload=reflex)
         options = jb.sim.Options(dt=dt, feed_forward=False, control_every=1, payload_model="thesis")
-        duration, model = watch_time(controller, loaded=True), mjx_adapter.base_model(robot)
+        simulation = jb.sim.prepare(robot, controller, options)
+        ticks = simulation.ticks(watch_time(controller, loaded=True))
 
         def one(corners: Any, friction: Any, load: Any, at: Any) -> Any:
             world = eqx.tree_at(
@@ -73,7 +73,7 @@ class Walker:
                 (friction, load, at + gait.params.T_ini),
             )
             own = eqx.tree_at(lambda r: r.p_sole_corner, robot, corners)
-            walk = jb.sim.simulate(own, model, controller, world, feed_forward.none(), duration, options)
+            walk = eqx.tree_at(lambda s: s.robot, simulation, own).walk(world, ticks)
             return judge(walk, gait, world).success, jnp.rad2deg(walk.statistics.peak_roll_pitch)
 
         return cls(name, jb.runtime.jit(jax.vmap(one)))

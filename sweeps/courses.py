@@ -31,8 +31,6 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 import jaxbiped as jb
-from jaxbiped.sim import mjx_adapter
-from jaxbiped.sim.rollout import make_feed_forward
 
 STEPS, PADDED, MOST = 10, 4, 9
 """Steps of the walk, the one with a single pad, and the highest such pad [cm]."""
@@ -150,25 +148,16 @@ def scenarios(one: Setup, chosen: list[Course]) -> list[jb.sim.Scenario]:
     return [scenario(course) for course in chosen]
 
 
-@jb.runtime.jit
-def _batch(one: Setup, model: Any, controller: jb.adapt.Controller, batch: jb.sim.Scenario) -> Any:
-    options = jb.sim.Options()
-    table = make_feed_forward(one.robot, controller, one.duration, options)
-
-    def walk(scenario: jb.sim.Scenario) -> tuple[jb.sim.Statistics, Any]:
-        done = jb.sim.simulate(one.robot, model, controller, scenario, table, one.duration, options)
-        return done.statistics, _missed(done)
-
-    return jax.vmap(walk)(batch)
-
-
 def walk_all(one: Setup, arm: str, chosen: list[Course]) -> list[Row]:
     """Walk all courses at once on the compliant ground."""
     controller = jb.adapt.Controller(one.gait, landing=ARMS[arm])
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios(one, chosen))
-    done = jax.tree.map(np.asarray, _batch(one, mjx_adapter.base_model(one.robot), controller, batch))
+    done = jax.tree.map(np.asarray, jb.sim.prepare(one.robot, controller).run_many(batch, one.duration))
     lanes = [jax.tree.map(lambda leaf, i=i: leaf[i], done) for i in range(len(chosen))]
-    return [_row(course, arm, "compliant", *lane) for course, lane in zip(chosen, lanes, strict=True)]
+    return [
+        _row(course, arm, "compliant", lane.statistics, _missed(lane))
+        for course, lane in zip(chosen, lanes, strict=True)
+    ]
 
 
 def walk_in_c(one: Setup, arm: str, chosen: list[Course]) -> list[Row]:

@@ -18,12 +18,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbiped import robot, runtime
+from jaxbiped import robot
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import CosineGait, PolynomialGait
-from jaxbiped.sim import Options, Scenario, mjx_adapter
+from jaxbiped.sim import Options, Scenario, prepare
 from jaxbiped.sim.replay_c import open_loop_references, replay_c
-from jaxbiped.sim.rollout import make_feed_forward, simulate
 from jaxbiped.sim.statistics import STATUS_TEXT
 
 SPREAD = 0.2
@@ -64,19 +63,13 @@ def walk(name: str, steps: int) -> tuple[robot.RobotParams, Controller, float, O
 def compliant(name: str, steps: int, batch: Scenario) -> dict[str, np.ndarray]:
     """Statistics on the compliant ground, in chunks of one shape."""
     params, controller, duration, options = walk(name, steps)
-    model = mjx_adapter.base_model(params)
-    table = make_feed_forward(params, controller, duration, options)
-
-    @runtime.jit
-    def run(chunk: Scenario) -> Any:
-        one = partial(simulate, params, model, controller)
-        return eqx.filter_vmap(lambda s: one(s, table, duration, options).statistics)(chunk)
-
+    simulation = prepare(params, controller, options)
     n = batch.payload.mass.shape[0]
     parts = []
     for start in range(0, n, CHUNK):
         rows = np.minimum(np.arange(start, start + CHUNK), n - 1)
-        parts.append(jax.tree.map(np.asarray, run(jax.tree.map(lambda leaf, rows=rows: leaf[rows], batch))))
+        chunk = jax.tree.map(lambda leaf, rows=rows: leaf[rows], batch)
+        parts.append(jax.tree.map(np.asarray, simulation.run_many(chunk, duration).statistics))
     return {column: np.concatenate([getattr(p, column) for p in parts])[:n] for column in COLUMNS}
 
 

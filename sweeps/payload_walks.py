@@ -13,8 +13,6 @@ import numpy as np
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, Landing, PayloadReflex
 from jaxbiped.score import judge
-from jaxbiped.sim import mjx_adapter
-from jaxbiped.sim.rollout import make_feed_forward
 
 STEPS = 8
 ELKAHLOUT = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
@@ -29,19 +27,10 @@ LONGEST_RECOVERY = 12.0
 
 def walks(robot: Any, controller: Any, scenarios: list[Any], duration: float, options: Any) -> Any:
     """All scenarios at once: walks and verdicts with a leading axis."""
-    model = mjx_adapter.base_model(robot)
-
-    @jb.runtime.jit
-    def go(controller: Any, batch: Any) -> Any:
-        table = make_feed_forward(robot, controller, duration, options)
-
-        def one(scenario: Any) -> Any:
-            walk = jb.sim.simulate(robot, model, controller, scenario, table, duration, options)
-            return walk, judge(walk, controller.gait, scenario)
-
-        return jax.vmap(one)(batch)
-
-    return jax.tree.map(np.asarray, go(controller, jax.tree.map(lambda *leaf: jnp.stack(leaf), *scenarios)))
+    batch = jax.tree.map(lambda *leaf: jnp.stack(leaf), *scenarios)
+    done = jb.sim.prepare(robot, controller, options).run_many(batch, duration)
+    judged = jb.runtime.jit(jax.vmap(lambda walk, scenario: judge(walk, controller.gait, scenario)))
+    return jax.tree.map(np.asarray, (done, judged(done, batch)))
 
 
 def print_row(what: str, walk: Any, success: Any, i: int) -> None:

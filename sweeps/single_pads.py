@@ -11,8 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxbiped as jb
-from jaxbiped.sim import mjx_adapter
-from jaxbiped.sim.rollout import make_feed_forward
 
 HEIGHTS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, -0.01, -0.02, -0.03, -0.04, -0.05)
 STEPS, PADDED = 10, 4
@@ -33,21 +31,11 @@ def main() -> None:
     ).parse_args()
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
-    model, options = mjx_adapter.base_model(robot), jb.sim.Options()
-    duration = float(gait.duration) + 0.5
-
-    @jb.runtime.jit
-    def walk(controller: jb.adapt.Controller, batch: jb.sim.Scenario) -> jb.sim.Statistics:
-        table = make_feed_forward(robot, controller, duration, options)
-        return jax.vmap(
-            lambda one: jb.sim.simulate(robot, model, controller, one, table, duration, options).statistics
-        )(batch)
-
+    batch, duration = scenarios(robot, gait), float(gait.duration) + 0.5
     print("arm       height  status     end   roll  pitch  force [N]  slip [mm]")
     for name, landing in ARMS.items():
-        stats = jax.tree.map(
-            np.asarray, walk(jb.adapt.Controller(gait, landing=landing), scenarios(robot, gait))
-        )
+        simulation = jb.sim.prepare(robot, jb.adapt.Controller(gait, landing=landing))
+        stats = jax.tree.map(np.asarray, simulation.run_many(batch, duration).statistics)
         for i, height in enumerate(HEIGHTS):
             roll, pitch = np.degrees(stats.peak_roll_pitch[i])
             print(

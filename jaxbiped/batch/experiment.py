@@ -16,7 +16,7 @@ from jaxbiped.checked import Refusal, whole
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
-from jaxbiped.sim.rollout import DURATION
+from jaxbiped.sim.options import DURATION
 from jaxbiped.sim.scenario import pad_under, require_clear_start, require_swing_clears
 from jaxbiped.sim.stability import require_stable_dt
 

@@ -1,22 +1,19 @@
 """One chunk of walks: from scenarios to rows of the results table."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
 from jaxtyping import Array
 
-from jaxbiped import runtime
+from jaxbiped import runtime, sim
 from jaxbiped.adapt import Controller
 from jaxbiped.batch import inputs
 from jaxbiped.batch.columns import OUTCOMES, require_declared
 from jaxbiped.batch.experiment import Chunk, Experiment
-from jaxbiped.robot import SIDE_NAMES, RobotParams
+from jaxbiped.robot import SIDE_NAMES
 from jaxbiped.score import STATUS_TEXT, judge
-from jaxbiped.sim import Options, Scenario, Walk, simulate
-from jaxbiped.sim.rollout import base_model, make_feed_forward
+from jaxbiped.sim import Scenario, Walk
 
 Columns = dict[str, Array]
 
@@ -26,37 +23,19 @@ def walk_chunk(experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
     rows = np.minimum(np.arange(chunk.start, chunk.start + experiment.lanes), chunk.stop - 1)
     table = experiment.table[rows.tolist()]
     batch = inputs.scenarios_of(table, experiment.pads)
-    one: Any = jax.tree.map(lambda leaf: leaf[0], batch)
-    options = experiment.simulation
-    outcome = _walk_batch(
-        experiment.robot,
-        base_model(experiment.robot, one, options),
-        experiment.arms[chunk.arm],
-        batch,
-        experiment.durations[chunk.arm],
-        options,
+    simulation = sim.prepare(
+        experiment.robot, experiment.arms[chunk.arm], experiment.simulation, sim.rectangles_of(batch)
     )
+    walks = simulation.run_many(batch, experiment.durations[chunk.arm])
+    outcome = _outcomes(walks, simulation.controller, batch)
     n = chunk.stop - chunk.start
     outcome = {name: np.asarray(column)[:n] for name, column in outcome.items()}
     return pl.concat([_identity(chunk), table[:n], outcome_frame(outcome)], how="horizontal")
 
 
 @runtime.jit
-def _walk_batch(
-    robot: RobotParams,
-    model: Any,
-    controller: Controller,
-    batch: Scenario,
-    duration: float,
-    options: Options,
-) -> Columns:
-    torque = make_feed_forward(robot, controller, duration, options)
-
-    def one(scenario: Scenario) -> Columns:
-        walk = simulate(robot, model, controller, scenario, torque, duration, options)
-        return outcome_of(walk, controller, scenario)
-
-    return jax.vmap(one)(batch)
+def _outcomes(walks: Walk, controller: Controller, batch: Scenario) -> Columns:
+    return jax.vmap(lambda walk, scenario: outcome_of(walk, controller, scenario))(walks, batch)
 
 
 def outcome_of(walk: Walk, controller: Controller, scenario: Scenario) -> Columns:

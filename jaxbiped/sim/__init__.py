@@ -1,9 +1,10 @@
 """Simulator: the only room that imports MuJoCo."""
 
 from jaxbiped.sim.model import build_model, build_spec, mjcf, write_mjcf
+from jaxbiped.sim.options import Options
 from jaxbiped.sim.replay_c import open_loop_references, replay_c
-from jaxbiped.sim.rollout import Options, Sample, Walk, rollout, simulate
 from jaxbiped.sim.scenario import Scenario, require_clear_start, require_swing_clears, swing_height
+from jaxbiped.sim.simulation import Sample, Simulation, State, Walk, prepare, rectangles_of, rollout
 from jaxbiped.sim.statistics import STATUS_TEXT, Statistics
 
 __all__ = [
@@ -11,17 +12,20 @@ __all__ = [
     "Options",
     "Sample",
     "Scenario",
+    "Simulation",
+    "State",
     "Statistics",
     "Walk",
     "build_model",
     "build_spec",
     "mjcf",
     "open_loop_references",
+    "prepare",
+    "rectangles_of",
     "replay_c",
     "require_clear_start",
     "require_swing_clears",
     "rollout",
-    "simulate",
     "swing_height",
     "write_mjcf",
 ]

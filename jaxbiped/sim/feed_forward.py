@@ -3,19 +3,20 @@
 It removes the sag of the servos under load, which landing adaptation would otherwise mistake for an obstacle.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbiped import runtime
+from jaxbiped.planner import Gait
 from jaxbiped.planner.feasibility import instant
 from jaxbiped.robot import RobotParams
 
 _TOGETHER = 128
 """Rows computed at once."""
+_LONGER = 1.3
+"""How much longer a tuned gait may last."""
 
 
 class FeedForward(eqx.Module):
@@ -39,12 +40,14 @@ def none() -> FeedForward:
     return FeedForward(jnp.zeros((2, 2, 6)), 1.0)
 
 
+def rows(gait: Gait, interval: float = 0.005) -> int:
+    """Rows of a table for a gait, also if it is tuned and lasts longer; whole batches, for others compile anew."""
+    return _TOGETHER * (int(_LONGER * float(gait.duration) / interval + 2) // _TOGETHER + 1)
+
+
 @runtime.jit
-def plan(robot: RobotParams, gait: Any, duration: float, interval: float = 0.005) -> FeedForward:
+def plan(robot: RobotParams, gait: Gait, rows: int, interval: float = 0.005) -> FeedForward:
     """Tabulate the plan's joint torques; the feet share the ground wrench by the ZMP."""
-    rows = _TOGETHER * (
-        int(duration / interval + 2) // _TOGETHER + 1
-    )  # whole batches: a last, shorter one compiles anew
     times = jnp.arange(rows) * interval
     torque = jax.lax.map(lambda t: instant(robot, gait, t).torque, times, batch_size=_TOGETHER)
     return FeedForward(torque, interval)

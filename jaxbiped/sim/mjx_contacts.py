@@ -78,7 +78,7 @@ def check_terrain(terrain: Terrain) -> None:
 def physics_tick(
     world: Plant, dt: float, reference: Reference, state: Any
 ) -> tuple[Any, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
-    """One tick of `rollout` by `mjx.step`; `world.model` is from `base_model`, `state` is `rollout.Physics`."""
+    """One tick by `mjx.step`; `world.model` is from `base_model`, `state` is `simulation.Physics`."""
     time = state.tick * dt
     ctrl = _setpoint(world, reference, state.integral)
     step = mjx_adapter.native_step(

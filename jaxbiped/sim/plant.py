@@ -25,21 +25,48 @@ STOP_DAMPING = 10.0
 BodyMasses = tuple[Float[Array, "15"], Float[Array, "15 3"], Float[Array, "15 3"]]
 
 
-class Plant(eqx.Module):
-    """What is simulated: constant in a walk."""
+class World(eqx.Module):
+    """A scenario, and what it makes of the robot: constant in a walk."""
 
-    robot: RobotParams
-    """The robot as the planner knows it."""
-    model: Any
-    """Its MJX model."""
     scenario: Scenario
-    """The world."""
+    """The scenario."""
     servo: Servo
     """The servos as they are, model errors included."""
     before: BodyMasses
     """Mass, centre of mass and principal inertias of the bodies without the payload."""
     after: BodyMasses
     """The same with it."""
+
+
+class Plant(eqx.Module):
+    """What is simulated."""
+
+    robot: RobotParams
+    """The robot as the planner knows it."""
+    model: Any
+    """Its MJX model."""
+    world: World
+    """What it walks in."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """See `World`."""
+        return self.world.scenario
+
+    @property
+    def servo(self) -> Servo:
+        """See `World`."""
+        return self.world.servo
+
+    @property
+    def before(self) -> BodyMasses:
+        """See `World`."""
+        return self.world.before
+
+    @property
+    def after(self) -> BodyMasses:
+        """See `World`."""
+        return self.world.after
 
 
 def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model: str = EXACT) -> Plant:
@@ -55,7 +82,7 @@ def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model
         robot.servo,
         tuple(scale * g for g in (robot.servo.kp, robot.servo.kv, robot.servo.ki)),
     )
-    return Plant(robot, model, scenario, servos, before, attach(before, scenario))
+    return Plant(robot, model, World(scenario, servos, before, attach(before, scenario)))
 
 
 def _with_errors(masses: BodyMasses, scenario: Scenario) -> BodyMasses:

@@ -1,12 +1,13 @@
-"""The same walks in C MuJoCo, tick by tick on the host: a cross-check of `rollout` that shares no physics with it.
+"""The same walks in C MuJoCo, tick by tick on the host: a cross-check of `Simulation` that shares no physics with it.
 
 Contacts are MuJoCo's own (`c_world`), between the soles and level boxes; dynamics, servos, statistics and sensors are
-done again in C and NumPy. Controller, inverse kinematics, feed-forward and start are those of `rollout`.
+done again in C and NumPy. Controller, inverse kinematics, feed-forward and start are those of `Simulation`.
 MuJoCo's servos have no speed limit, and its contacts are linear springs and dampers (`solref`) without a slip speed.
 
 Many walks go on in lockstep: MuJoCo moves one robot after the other, everything else is done for all of them at once.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -21,14 +22,14 @@ from jaxbiped import runtime
 from jaxbiped.adapt import Controller, Sensed
 from jaxbiped.planner import Targets, at, support
 from jaxbiped.robot import RobotParams
-from jaxbiped.sim import c_world, equilibrium, mjx_adapter, plant, sensors
+from jaxbiped.sim import c_world, sensors
 from jaxbiped.sim.c_world import SPHERES, heights
 from jaxbiped.sim.feed_forward import FeedForward
 from jaxbiped.sim.mjx_adapter import LEFT_FOOT, RIGHT_FOOT, TRUNK
-from jaxbiped.sim.rollout import Options, Sample, Walk, make_feed_forward, servo_reference
+from jaxbiped.sim.options import COMPLIANT, Options
 from jaxbiped.sim.scenario import Scenario, SensorFaults
 from jaxbiped.sim.sensors import BOUNCE_PERIOD, Delay
-from jaxbiped.sim.servo import Reference
+from jaxbiped.sim.simulation import Sample, Simulation, Walk, prepare, servo_reference
 from jaxbiped.sim.statistics import (
     AIRBORNE,
     AIRBORNE_TIME,
@@ -86,12 +87,12 @@ def replay_c(
         controller: stepped at every control tick, unless `references` are given.
         scenario: one scenario, without a batch axis; rectangles may overlap and may be holes.
         duration: [s].
-        options: those of `rollout`.
+        options: those of `Simulation`.
         references: from `open_loop_references`; for a controller that makes no use of what it senses. Faster.
         contact: model of the contact between soles and ground, one of `c_world.CONTACTS`.
 
     Returns:
-        As from `rollout`, but the trace ends where the walk ends, at a fall too.
+        As from `Simulation.run`, but the trace ends where the walk ends, at a fall too.
 
     Raises:
         ValueError: if the references are shorter than the walk, or for a model of the contact that there is not.
@@ -136,36 +137,44 @@ def replay_many(
     for one in contacts:
         c_world.CONTACT.check("contact", one)
     ticks = round(duration / options.control_dt)
-    table = make_feed_forward(robot, controller, duration, options)
+    simulation = prepare(robot, controller, _on_compliant_ground(options))
     cases = list(zip(sinkage.tolist(), contacts, strict=True))
     depth = {case: c_world.resting_depth(robot, case[0], options.dt, case[1]) for case in set(cases)}
     rests = jnp.asarray([depth[case] for case in cases], sinkage.dtype)
     sunk = eqx.tree_at(lambda s: s.ground.sinkage, scenarios, rests)
-    model = mjx_adapter.base_model(robot)
-    qpos, first = _start(robot, model, controller, sunk, table, options.payload_model)
+    qpos, first = _start(simulation, sunk)
     worlds = _Worlds(robot, scenarios, options, contacts, np.asarray(qpos, float))
     if references is None:
-        pilot = _ClosedLoop(robot, controller, scenarios, table, options, first, worlds)
+        pilot = _ClosedLoop(robot, controller, scenarios, simulation.torque, options, first, worlds)
     else:
         pilot = _OpenLoop(references, ticks)
     return _walk(worlds, pilot, ticks, told)
 
 
-@runtime.jit
 def open_loop_references(
     robot: RobotParams, controller: Controller, duration: float, options: Options
 ) -> References:
     """References of a whole walk (n = control ticks + 1), from a controller that is shown nothing but the time."""
-    table = make_feed_forward(robot, controller, duration, options)
+    table = prepare(robot, controller, _on_compliant_ground(options)).torque
+    return _open_loop(robot, controller, table, round(duration / options.control_dt), options.control_dt)
 
+
+@runtime.jit
+def _open_loop(
+    robot: RobotParams, controller: Controller, table: FeedForward, ticks: int, control_dt: float
+) -> References:
     def step(state: Any, tick: Array) -> tuple[Any, References]:
-        state, targets = controller.step(state, Sensed.nothing(tick * options.control_dt))
+        state, targets = controller.step(state, Sensed.nothing(tick * control_dt))
         return state, _references(robot, targets, table)
 
-    ticks = jnp.arange(1, round(duration / options.control_dt) + 1)
-    _, rows = jax.lax.scan(step, controller.init(), ticks)
+    _, rows = jax.lax.scan(step, controller.init(), jnp.arange(1, ticks + 1))
     first = _references(robot, at(controller.gait, 0.0), table)
     return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, rows)
+
+
+def _on_compliant_ground(options: Options) -> Options:
+    """The same for a start on the compliant ground."""
+    return dataclasses.replace(options, contact=COMPLIANT)
 
 
 def _references(robot: RobotParams, targets: Targets, table: FeedForward) -> References:
@@ -175,23 +184,10 @@ def _references(robot: RobotParams, targets: Targets, table: FeedForward) -> Ref
 
 
 @runtime.jit
-def _start(
-    robot: RobotParams,
-    model: Any,
-    controller: Controller,
-    scenarios: Scenario,
-    table: FeedForward,
-    payload_model: str,
-) -> tuple[Float[Array, "n 19"], References]:
-    """Where `rollout` starts: at rest on the compliant ground."""
-    first = _references(robot, at(controller.gait, 0.0), table)
-    reference = Reference(first.angle, first.speed, first.feed_forward)
-
-    def one(scenario: Scenario) -> Float[Array, "19"]:
-        world = plant.make_plant(robot, model, scenario, payload_model)
-        return equilibrium.standing(world, first.targets.position, reference)
-
-    return jax.vmap(one)(scenarios), first
+def _start(simulation: Simulation, scenarios: Scenario) -> tuple[Float[Array, "n 19"], References]:
+    """Where walks start: at rest on the compliant ground."""
+    first = _references(simulation.robot, at(simulation.controller.gait, 0.0), simulation.torque)
+    return jax.vmap(lambda scenario: simulation.start(scenario).physics.qpos)(scenarios), first
 
 
 # The walks -------------------------------------------------------------------------------------------------------
@@ -470,7 +466,7 @@ def _control(
     walking: Any,
     tick: Any,
 ) -> tuple[Any, Delay | None, References]:
-    """One control tick of `rollout` on readings from elsewhere: noise, delay, controller, inverse kinematics."""
+    """One control tick of `Simulation` on readings from elsewhere: noise, delay, controller, inverse kinematics."""
 
     def one(
         faults: SensorFaults, state: Any, delay: Delay | None, reading: Any, corner: Any, goes_on: Any

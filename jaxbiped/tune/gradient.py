@@ -22,9 +22,7 @@ from jaxtyping import Array, Float
 from jaxbiped import batch, runtime, sim
 from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
-from jaxbiped.robot import RobotParams
 from jaxbiped.score import Loss, WalkLoss, judge
-from jaxbiped.sim.rollout import base_model, make_feed_forward, simulate
 
 LANES = 64
 """Most walks in one call; as many calls are made at once as XLA has threads."""
@@ -128,15 +126,9 @@ class Problem:
         one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
         experiment, options = self.experiment, self.experiment.simulation
         every = max(1, round(self.duration / options.control_dt) // SAMPLES)
-        return _Setting(
-            experiment.robot,
-            base_model(experiment.robot, one, options),
-            self.controller,
-            self.loss,
-            self.tunables,
-            self.duration,
-            dataclasses.replace(options, trace_every=every),
-        )
+        options = dataclasses.replace(options, trace_every=every)
+        simulation = sim.prepare(experiment.robot, self.controller, options, sim.rectangles_of(one))
+        return _Setting(simulation, self.loss, self.tunables, self.duration)
 
     def scenarios(self, rows: np.ndarray) -> sim.Scenario:
         """Scenarios of these rows, as a leading axis."""
@@ -146,25 +138,22 @@ class Problem:
 class _Setting(eqx.Module):
     """One walk but for its scenario and the values of the tunables."""
 
-    robot: RobotParams
-    model: Any
-    controller: Controller
+    simulation: sim.Simulation
+    """With the arm's own values."""
     loss: Any
     tunables: tuple[Tunable, ...] = eqx.field(static=True)
     duration: float = eqx.field(static=True)
-    options: sim.Options = eqx.field(static=True)
 
     def walk(self, at: Float[Array, " k"], scenario: sim.Scenario) -> tuple[Any, dict[str, Array]]:
         """Walk once: (loss, poses, start of the last reflex), to be differentiated, and what became of the walk."""
-        controller = tunables.apply(self.robot, self.controller, self.tunables, at)
-        torque = make_feed_forward(self.robot, controller, self.duration, self.options)
+        robot = self.simulation.robot
+        controller = tunables.apply(robot, self.simulation.controller, self.tunables, at)
 
         def rate(sample: sim.Sample, upright: Array) -> Array:
-            return self.loss.rate(self.robot, sample, upright)
+            return self.loss.rate(robot, sample, upright)
 
-        walk = simulate(
-            self.robot, self.model, controller, scenario, torque, self.duration, self.options, rate
-        )
+        simulation = self.simulation.led_by(controller)
+        walk = simulation.walk(scenario, simulation.ticks(self.duration), rate)
         assert walk.integral is not None and walk.trace is not None
         loss = self.loss.total(walk.integral, walk, self.duration)
         success = judge(walk, controller.gait, scenario).success

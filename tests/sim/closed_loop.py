@@ -11,8 +11,7 @@ import numpy as np
 from jaxbiped import robot
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import CosineGait, PolynomialGait, StartStop, cosine_params, polynomial_params
-from jaxbiped.sim import Options, Scenario, mjx_adapter
-from jaxbiped.sim.rollout import Walk, make_feed_forward, simulate
+from jaxbiped.sim import Options, Scenario, Simulation, Walk, prepare
 
 N_STEPS = 4
 CONTROL_EVERY = {"surena3": 4, "elkahlout": 1}
@@ -83,33 +82,21 @@ def lane(batch: Any, i: int) -> Any:
 
 
 @eqx.filter_jit
-def tables(params: robot.RobotParams, gaits: Any, duration: float, options: Options) -> Any:
-    return eqx.filter_vmap(lambda g: make_feed_forward(params, Controller(g), duration, options))(gaits)
+def batch(simulation: Simulation, gaits: Any, scenarios: Scenario, shares: Any, ticks: Any) -> Walk:
+    """Walks of many gaits in as many scenarios, with a share of the plan's torque."""
 
+    def one(gait: Any, scenario: Scenario, share: Any) -> Walk:
+        led = simulation.led_by(Controller(gait))
+        return eqx.tree_at(lambda s: s.torque.torque, led, replace_fn=lambda t: share * t).walk(
+            scenario, ticks
+        )
 
-@eqx.filter_jit
-def batch(
-    params: robot.RobotParams,
-    model: Any,
-    gaits: Any,
-    scenarios: Scenario,
-    torques: Any,
-    duration: float,
-    options: Options,
-) -> Walk:
-    """Roll-outs of many gaits in as many scenarios."""
-
-    def one(gait: Any, scenario: Scenario, torque: Any) -> Walk:
-        return simulate(params, model, Controller(gait), scenario, torque, duration, options)
-
-    return eqx.filter_vmap(one)(gaits, scenarios, torques)
+    return eqx.filter_vmap(one)(gaits, scenarios, shares)
 
 
 def run(one: Setup, cases: list[tuple[Any, Scenario]], feed_forward: list[bool] | None = None) -> Walk:
     """A batch of (gait, scenario), with the plan's torque or without it."""
     gaits, scenarios = stack([g for g, _ in cases]), stack([s for _, s in cases])
-    torques = tables(one.params, gaits, one.duration, one.options)
-    on = jnp.asarray(feed_forward or [True] * len(cases), float)
-    torques = jax.tree.map(lambda leaf: leaf * on.reshape(-1, *[1] * (leaf.ndim - 1)), torques)
-    model = mjx_adapter.base_model(one.params)
-    return batch(one.params, model, gaits, scenarios, torques, one.duration, one.options)
+    shares = jnp.asarray(feed_forward or [True] * len(cases), float)
+    simulation = prepare(one.params, Controller(one.gait), one.options)
+    return batch(simulation, gaits, scenarios, shares, simulation.ticks(one.duration))

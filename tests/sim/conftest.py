@@ -8,7 +8,7 @@ import pytest
 from closed_loop import Setup, lane, run, setup, standing
 
 from jaxbiped.sim import Scenario
-from jaxbiped.sim.rollout import Sample, Walk
+from jaxbiped.sim.simulation import Sample, Walk
 from jaxbiped.sim.statistics import Statistics
 
 LIFT = (0.0, 0.0, 5000.0)

@@ -11,8 +11,7 @@ import pytest
 
 from jaxbiped import planner, robot
 from jaxbiped.adapt import Controller, Landing, PayloadReflex, Sensed
-from jaxbiped.sim import Options, Scenario, mjx_adapter, simulate
-from jaxbiped.sim.rollout import make_feed_forward
+from jaxbiped.sim import Options, Scenario, prepare
 
 DT = 0.004
 STEPS = 6
@@ -126,14 +125,8 @@ def test_load_during_a_walk_over_obstacles():
         flat.with_obstacle(biped, gait, 1, -0.02).with_payload(8.0, 5.4),
         flat.with_obstacle(biped, gait, 1, -0.02).with_payload(8.0, 7.2),
     ]
-    model = mjx_adapter.base_model(biped)
-
-    @eqx.filter_jit
-    def go(batch: Any) -> Any:
-        table = make_feed_forward(biped, controller, duration, options)
-        return jax.vmap(lambda s: simulate(biped, model, controller, s, table, duration, options))(batch)
-
-    walk = jax.tree.map(np.asarray, go(jax.tree.map(lambda *leaf: jnp.stack(leaf), *cases)))
+    batch = jax.tree.map(lambda *leaf: jnp.stack(leaf), *cases)
+    walk = jax.tree.map(np.asarray, prepare(biped, controller, options).run_many(batch, duration))
     np.testing.assert_array_equal(walk.statistics.status, 0)
     assert np.all(walk.controller.payload.reflexes >= 1)
     assert np.all(np.degrees(walk.statistics.peak_roll_pitch) < 8.0)

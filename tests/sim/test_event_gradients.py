@@ -13,8 +13,7 @@ from closed_loop import firm
 from jaxbiped import robot
 from jaxbiped.adapt import Controller, Landing, PayloadReflex
 from jaxbiped.planner import CosineGait, PolynomialGait
-from jaxbiped.sim import Options, Scenario, mjx_adapter
-from jaxbiped.sim.rollout import make_feed_forward, simulate
+from jaxbiped.sim import Options, Scenario, prepare
 
 STEPS = (1e-3, 1e-4, 1e-5)
 """Relative to the tunable."""
@@ -23,12 +22,11 @@ Case = tuple[Callable[[Any], Any], dict[str, float]]
 
 def scores(biped: Any, gait: Any, scenario: Scenario, options: Options, seconds: float, make: Any) -> Any:
     """Tunables -> mean squared tilt [deg2], mean sole height and mean sole place in the body frame as commanded [m]."""
-    model = mjx_adapter.base_model(biped)
+    simulation = prepare(biped, Controller(gait), options)
 
     def value(tuned: jax.Array) -> jax.Array:
         controller = make(gait, tuned)
-        torque = make_feed_forward(biped, controller, seconds, options)
-        walk = simulate(biped, model, controller, scenario, torque, seconds, options)
+        walk = simulation.led_by(controller).walk(scenario, simulation.ticks(seconds))
         assert walk.trace is not None
         tilt = jnp.rad2deg(walk.trace.roll_pitch_yaw[:, :2])
         asked = walk.trace.targets.position

@@ -11,8 +11,7 @@ from closed_loop import changed, setup
 
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params, polynomial_params
-from jaxbiped.sim import Scenario, mjx_adapter
-from jaxbiped.sim.rollout import make_feed_forward, simulate
+from jaxbiped.sim import Scenario, prepare
 
 TUNED = {"surena3": ("D_s", "y_m"), "elkahlout": ("b_s", "w")}
 STEPS = (1e-3, 1e-4, 1e-5)
@@ -22,7 +21,7 @@ STEPS = (1e-3, 1e-4, 1e-5)
 def score(name: str, duration: float) -> Any:
     """Two gait parameters -> mean squared tilt [deg2] and mean forward place of the pelvis [m]."""
     one = setup(name)
-    model, flat = mjx_adapter.base_model(one.params), Scenario.flat()
+    simulation, flat = prepare(one.params, Controller(one.gait), one.options), Scenario.flat()
     polynomial = name == "surena3"
     kind, nominal = (
         (PolynomialGait, polynomial_params(name)) if polynomial else (CosineGait, cosine_params(name))
@@ -31,8 +30,7 @@ def score(name: str, duration: float) -> Any:
     def value(tuned: jax.Array) -> jax.Array:
         params = changed(nominal, **dict(zip(TUNED[name], tuned, strict=True)))
         controller = Controller(kind.make(one.params, params, one.gait.n_steps))
-        torque = make_feed_forward(one.params, controller, duration, one.options)
-        walk = simulate(one.params, model, controller, flat, torque, duration, one.options)
+        walk = simulation.led_by(controller).walk(flat, simulation.ticks(duration))
         assert walk.trace is not None
         tilt = jnp.rad2deg(walk.trace.roll_pitch_yaw[:, :2])
         return jnp.stack([jnp.mean(jnp.sum(tilt**2, axis=1)), jnp.mean(walk.trace.p_world_trunk[:, 0])])

@@ -1,5 +1,6 @@
 """Laws of the simulated world: weight, rest, free flight, friction, ground force, mirror, smaller ticks, failure."""
 
+import dataclasses
 import itertools
 from typing import Any
 
@@ -16,9 +17,8 @@ from conftest import CARRIED, LEAN
 from jaxbiped import robot
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import PolynomialGait, TaskSpace, at
-from jaxbiped.sim import Scenario, ground, mjx_adapter, statistics
+from jaxbiped.sim import Scenario, Simulation, ground, mjx_adapter, prepare, statistics
 from jaxbiped.sim.model import CORNER_NAMES
-from jaxbiped.sim.rollout import feed_forward, simulate
 
 
 def c_states(params: robot.RobotParams, qpos: np.ndarray) -> list[mujoco.MjData]:
@@ -361,12 +361,8 @@ class Player(Controller):
         self.gait, self.landing, self.payload = gait, None, None
 
 
-def walk64(one: Any, model: Any, gait: Any, scene: Any, duration: float, options: Any) -> Any:
-    torque = feed_forward.plan(one.params, gait, duration)
-    return simulate(one.params, model, Player(gait), scene, torque, duration, options)
-
-
-jit_walk64 = eqx.filter_jit(walk64)
+def walk64(simulation: Simulation, gait: Any, scene: Any, duration: float) -> Any:
+    return simulation.led_by(Player(gait)).walk(scene, round(duration / simulation.options.control_dt))
 
 
 def test_mirrored_scenario_gives_the_mirrored_walk(x64):
@@ -392,8 +388,8 @@ def test_mirrored_scenario_gives_the_mirrored_walk(x64):
     for time in (1.0, 2.2, 2.9, 4.0):
         planned, image = at(right_first, time), at(gaits[1], time)
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), planned, image)
-    model = mjx_adapter.base_model(one.params)
-    run_both = eqx.filter_jit(eqx.filter_vmap(lambda g, s: walk64(one, model, g, s, 3.0, one.options)))
+    simulation = prepare(one.params, Player(one.gait), dataclasses.replace(one.options, feed_forward=True))
+    run_both = eqx.filter_jit(eqx.filter_vmap(lambda g, s: walk64(simulation, g, s, 3.0)))
     both = run_both(stack(gaits), stack([scene, other]))
     a, b = lane(both, 0), lane(both, 1)
     signs = np.array([1, -1, 1, 1, -1, 1, -1] + [-1, -1, 1, 1, 1, -1] * 2)
@@ -414,9 +410,8 @@ def test_halving_the_tick_halves_the_change_of_a_walk(x64, name):
     for dt in (1e-3, 5e-4, 2.5e-4):
         every = round(2e-3 / dt)
         one = setup(name, dt=dt, control_every=every, trace_every=0)
-        model = mjx_adapter.base_model(one.params)
-        walk = jit_walk64(one, model, one.gait, flat(), 5.0, one.options)
-        stats = walk.statistics
+        options = dataclasses.replace(one.options, feed_forward=True)
+        stats = prepare(one.params, Player(one.gait), options).run(flat(), 5.0).statistics
         assert int(stats.status) == statistics.OK
         ends.append(np.concatenate([stats.p_world_trunk, stats.peak_roll_pitch]))
     first, second = np.abs(ends[0] - ends[1]), np.abs(ends[1] - ends[2])

@@ -10,8 +10,8 @@ from c_mujoco import PRESETS, as_arrays, flat, load, oracle
 
 from jaxbiped.robot import Servo
 from jaxbiped.sim import mjx_adapter, plant, sensors, servo, statistics
-from jaxbiped.sim.rollout import Physics, _physics_tick
 from jaxbiped.sim.servo import Reference
+from jaxbiped.sim.simulation import Physics, _physics_tick
 
 SHAPE = (2, 6)
 DT, TICKS = 5e-4, 50

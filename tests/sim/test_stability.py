@@ -25,8 +25,8 @@ from jaxbiped.sim import (
     stability,
     statistics,
 )
-from jaxbiped.sim.rollout import Physics, _physics_tick
 from jaxbiped.sim.servo import Reference
+from jaxbiped.sim.simulation import Physics, _physics_tick
 
 SINKAGE = 1.2e-4
 FLAT = Scenario.flat(1)

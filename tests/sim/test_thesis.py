@@ -15,23 +15,15 @@ from jaxbiped.batch import Normal, Uniform, part
 from jaxbiped.commands import choices
 from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params
 from jaxbiped.score import judge
-from jaxbiped.sim import Scenario, mjx_adapter, simulate
-from jaxbiped.sim.rollout import make_feed_forward
+from jaxbiped.sim import Scenario, prepare
 
 STEPS = 5
 VARIANTS = ("original", "modified", "repaired")
 
 
 @runtime.jit
-def _walks(params: Any, model: Any, controller: Any, scenarios: Any, duration: float, options: Any) -> Any:
-    table = make_feed_forward(params, controller, duration, options)
-
-    def one(scenario: Any) -> Any:
-        walk = simulate(params, model, controller, scenario, table, duration, options)
-        assert walk.controller is not None
-        return judge(walk, controller.gait, scenario), walk.statistics, walk.controller.payload
-
-    return jax.vmap(one)(scenarios)
+def _verdicts(walks: Any, gait: Any, scenarios: Any) -> Any:
+    return jax.vmap(lambda walk, scenario: judge(walk, gait, scenario))(walks, scenarios)
 
 
 def thesis_walks(gait: Any, cases: list[tuple[float, float]], variant: str, duration: float) -> Any:
@@ -43,7 +35,9 @@ def thesis_walks(gait: Any, cases: list[tuple[float, float]], variant: str, dura
     scenarios = [floor.with_payload(load, start + at) if load else floor for load, at in cases]
     options = choices.simulation_options(params, gait)
     stacked = jax.tree.map(lambda *leaf: jnp.stack(leaf), *scenarios)
-    found = _walks(params, mjx_adapter.base_model(params), controller, stacked, duration, options)
+    walks = prepare(params, controller, options).run_many(stacked, duration)
+    assert walks.controller is not None
+    found = (_verdicts(walks, gait, stacked), walks.statistics, walks.controller.payload)
     return jax.tree.map(np.asarray, found)
 
 

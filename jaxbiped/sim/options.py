@@ -1,0 +1,54 @@
+"""Choices made before a robot walks."""
+
+import equinox as eqx
+
+from jaxbiped import checked
+from jaxbiped.checked import Quantity
+from jaxbiped.sim import plant
+from jaxbiped.sim.plant import PAYLOAD_MODELS
+
+DURATION = Quantity("s", 0.0, 3600.0, above=True)
+"""Of a walk."""
+COMPLIANT, MJX = "compliant", "mjx"
+CONTACTS = (COMPLIANT, MJX)
+MAX_TICKS = 1_000_000
+
+
+class Options(eqx.Module):
+    """Choices made when a simulation is prepared; another choice is another compilation."""
+
+    dt: float = eqx.field(static=True, default=5e-4)
+    """Physics tick [s]."""
+    control_every: int = eqx.field(static=True, default=4)
+    """Physics ticks in a control tick."""
+    feed_forward: bool = eqx.field(static=True, default=True)
+    """Add the plan's inverse dynamics to the servos' torque."""
+    payload_model: str = eqx.field(static=True, default=plant.EXACT)
+    """`exact` (welded cube) or `thesis` (elkahlout Eqs. 3.8-3.10)."""
+    contact: str = eqx.field(static=True, default=COMPLIANT)
+    """`compliant` (see `ground`) or `mjx` (MuJoCo's own contacts; slower, no holes)."""
+    noise: bool = eqx.field(static=True, default=False)
+    """Add the scenario's sensor noise."""
+    delay_room: int = eqx.field(static=True, default=0)
+    """Control ticks of sensor delay there is room for."""
+    trace_every: int = eqx.field(static=True, default=0)
+    """Control ticks between two samples of the trace; 0 for no trace."""
+
+    def __check_init__(self) -> None:
+        """Refuse what cannot be simulated."""
+        object.__setattr__(self, "dt", Quantity("s", 1e-5, 0.01).check("dt", self.dt))
+        for name, least in (("control_every", 1), ("delay_room", 0), ("trace_every", 0)):
+            object.__setattr__(self, name, checked.whole(name, getattr(self, name), least, MAX_TICKS))
+        for name in ("feed_forward", "noise"):
+            object.__setattr__(self, name, checked.Flag().check(name, getattr(self, name)))
+        if self.payload_model not in PAYLOAD_MODELS:
+            raise ValueError(
+                f"payload_model: got {self.payload_model!r}, allowed: {', '.join(PAYLOAD_MODELS)}"
+            )
+        if self.contact not in CONTACTS:
+            raise ValueError(f"contact: got {self.contact!r}, allowed: {', '.join(CONTACTS)}")
+
+    @property
+    def control_dt(self) -> float:
+        """Control tick [s]."""
+        return self.dt * self.control_every
