@@ -3,7 +3,8 @@
 The widths tell a derivative that is wrong from one that is right but of no use: where an event moves on by ticks,
 narrow differences agree with it and wide ones have another trend. Without arguments, over whole walks of random
 scenarios: median and 90th percentile of |forward - central| over the larger one, of every walk that does not fall and
-every tunable, for half widths as shares of each range. With `--single`, the numbers of two walks.
+every tunable, for half widths as shares of each range; once more of those that matter, whose whole range would change
+the loss by more than MATTERS of it: next to nothing has no trend. With `--single`, the numbers of two walks.
 
     python sweeps/secants.py
     python sweeps/secants.py --scenarios 4 --durations 8 --arms landing
@@ -28,6 +29,8 @@ WIDTHS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 """Of the differences, in the unit of each tunable."""
 SHARES = (1e-2, 1e-3, 1e-4, 1e-5)
 """Half widths, of each range."""
+MATTERS = 0.02
+"""Share of a walk's loss."""
 ARMS = ("landing", "modified", "repaired")
 """surena3's repaired landing; elkahlout's reflexes."""
 LANDING = ("landing.T_mod", "landing.descent_speed", "landing.delta_x_scale", "landing.release_share")
@@ -72,7 +75,8 @@ def whole_walks(arm: str, n: int, duration: float) -> None:
         gap: Any = np.where(
             size > 0.0, np.abs(slope.by_scenario - twin) / np.where(size > 0.0, size, 1.0), np.nan
         )
-        gap = 100.0 * gap[stands]
+        matters = size * ranges > MATTERS * slope.losses[:, None]
+        gap, which = 100.0 * gap[stands], np.where(matters, 100.0 * gap, np.nan)[stands]
         each = ", ".join(
             f"{t.name.split('.')[1]} {np.nanmedian(gap[:, j]):.3g}"
             for j, t in enumerate(one.tunables)
@@ -80,7 +84,8 @@ def whole_walks(arm: str, n: int, duration: float) -> None:
         )
         print(
             f"  half width {share:g}: median {np.nanmedian(gap):.3g} %, 90th percentile "
-            f"{np.nanpercentile(gap, 90):.3g} % (medians: {each})",
+            f"{np.nanpercentile(gap, 90):.3g} % (medians: {each}); of {int(np.isfinite(which).sum())} that matter: "
+            f"{np.nanmedian(which):.3g} %, {np.nanpercentile(which, 90):.3g} %",
             flush=True,
         )
 

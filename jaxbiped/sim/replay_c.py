@@ -556,11 +556,13 @@ class _Tally:
         vertical = worlds.force[..., 2].reshape(-1, 2, 4).sum(axis=2)
         trunk, place = worlds.xpos[:, TRUNK], worlds.xpos[:, _FEET, :2]
         loaded = vertical > LOADED
-        landed = loaded & ~self.loaded
-        if landed.any():
-            rise = np.where(landed, vertical - self.foot_force, 1.0)
-            share = np.where(landed, (LOADED - self.foot_force) / rise, 0.0)
+        landed, left, reached = loaded & ~self.loaded, self.loaded & ~loaded, place
+        crosses = landed | left
+        if crosses.any():
+            rise = np.where(crosses, vertical - self.foot_force, 1.0)
+            share = np.where(crosses, (LOADED - self.foot_force) / rise, 0.0)
             touched = self.p_world_foot + share[..., None] * (place - self.p_world_foot)
+            reached = np.where(left[..., None], touched, place)
             self.touch_time = np.where(landed, time - dt * (1.0 - share), self.touch_time)
             self.anchor = np.where(landed[..., None], touched, self.anchor)
             self.touch_impulse = np.where(landed, 0.0, self.touch_impulse)
@@ -568,7 +570,7 @@ class _Tally:
         within = np.where(self.touch_time >= 0.0, np.minimum(time, self.touch_time + TOUCHDOWN) - begin, 0.0)
         force = np.where(within > 0.0, vertical, 0.0)
         self.touch_impulse = self.touch_impulse + np.maximum(within, 0.0) * vertical
-        slip = np.where(loaded, np.sqrt(((place - self.anchor) ** 2).sum(axis=-1)), 0.0)
+        slip = np.where(loaded | left, np.sqrt(((reached - self.anchor) ** 2).sum(axis=-1)), 0.0)
         tilt = np.abs(_roll_pitch_yaw(worlds.xmat[:, TRUNK])[:, :2])
         for peak, value in (
             (self.peak_roll_pitch, tilt),

@@ -42,7 +42,7 @@ class Statistics(eqx.Module):
     peak_foot_force: Float[Array, "2"]
     """Largest vertical force on each foot [N]."""
     peak_slip: Float[Array, "2"]
-    """Largest horizontal distance of each sole from where it was loaded last [m]."""
+    """Largest horizontal distance of each sole, while it is loaded, from where it was loaded last [m]."""
     peak_touchdown_force: Float[Array, "2"]
     """Largest vertical force on each foot within TOUCHDOWN after it was loaded [N]."""
     peak_touchdown_impulse: Float[Array, "2"]
@@ -106,9 +106,11 @@ def update(
     """After one physics tick of `dt` that ended at `time` [s], from the body and contact at its start."""
     vertical = contact.force[..., 2].sum(axis=1)
     loaded = vertical > LOADED
-    landed = loaded & ~stats.loaded
+    landed, left = loaded & ~stats.loaded, stats.loaded & ~loaded
     place, before = body.p_world_foot[:, :2], stats.foot_force
-    share = jnp.where(landed, (LOADED - before) / jnp.where(landed, vertical - before, 1.0), 1.0)
+    # Where in the tick the force crossed LOADED, and where the foot was then: landing and leaving take effect there.
+    crosses = landed | left
+    share = jnp.where(crosses, (LOADED - before) / jnp.where(crosses, vertical - before, 1.0), 1.0)
     crossed = stats.p_world_foot + share[:, None] * (place - stats.p_world_foot)
     anchor = jnp.where(landed[:, None], crossed, stats.anchor)
     touch_time = jnp.where(landed, time - dt * (1.0 - share), stats.touch_time)
@@ -117,7 +119,8 @@ def update(
     within = jnp.where(touch_time >= 0.0, jnp.maximum(within, 0.0), 0.0)
     force = jnp.where(within > 0.0, vertical, 0.0)
     impulse = jnp.where(landed, 0.0, stats.touch_impulse) + within * vertical
-    slip = jnp.where(loaded, jnp.sqrt(jnp.sum((place - anchor) ** 2, axis=1) + 1e-18), 0.0)
+    reached = jnp.where(left[:, None], crossed, place)
+    slip = jnp.where(loaded | left, jnp.sqrt(jnp.sum((reached - anchor) ** 2, axis=1) + 1e-18), 0.0)
     tilt = jnp.abs(roll_pitch_yaw(body.rot_world_trunk)[:2])
     low = body.p_world_trunk[2] - body.p_world_foot[:, 2].min() < FALL_HEIGHT * stats.pelvis_height
     fell = (jnp.max(tilt) > FALL_TILT) | low
