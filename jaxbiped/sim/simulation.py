@@ -203,13 +203,12 @@ class Simulation(eqx.Module):
         options, first = self.options, self.start(scenario)
 
         def advance(carry: tuple[State, Any]) -> tuple[tuple[State, Any], Sample]:
-            # What never changes is kept out of the loop's variables.
             state, total = carry
-            state, sample = self.tick(dataclasses.replace(state, world=first.world))
+            state, sample = self.tick(state)
             if rate is not None:
                 upright = state.physics.statistics.status == statistics.OK
                 total = total + options.control_dt * rate(sample, upright)
-            return (_without_world(state), total), sample
+            return (state, total), sample
 
         def quietly(_: Any, carry: tuple[State, Any]) -> tuple[State, Any]:
             return advance(carry)[0]
@@ -217,7 +216,7 @@ class Simulation(eqx.Module):
         def record(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Sample]:
             return advance(jax.lax.fori_loop(0, options.trace_every - 1, quietly, carry))
 
-        carry, trace = (_without_world(first), None if rate is None else _zero_of(rate, self, first)), None
+        carry, trace = (first, None if rate is None else _zero_of(rate, self, first)), None
         if options.trace_every == 0:
             carry = jax.lax.fori_loop(0, ticks, quietly, carry)
         else:
@@ -296,10 +295,6 @@ def _compiled(simulation: Simulation, scenarios: Scenario, ticks: Any) -> Walk:
 
 def _stacked(scenario: Scenario) -> Scenario:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scenario)
-
-
-def _without_world(state: State) -> State:
-    return dataclasses.replace(state, world=None)
 
 
 def _zero_of(rate: Rate, simulation: Simulation, state: State) -> Float[Array, " m"]:
