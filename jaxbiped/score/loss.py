@@ -106,7 +106,11 @@ _MARGIN = 0.02
 def _pressure_margin(
     robot: RobotParams, corner_force: Float[Array, "2 4"]
 ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Share of the weight on each foot, and how far its centre of pressure is inside its sole [m]; no jumps."""
+    """Share of the weight on each foot, and how far its centre of pressure is inside its sole [m]; no jumps.
+
+    A corner that is drawn down, as by an edge it rubs along, counts for nothing.
+    """
+    corner_force = jnp.maximum(corner_force, 0.0)
     total = corner_force.sum(axis=1)
     share = total / (robot.total_mass * GRAVITY)
     centre = jnp.einsum("fc,fci->fi", corner_force, robot.p_sole_corner[..., :2])

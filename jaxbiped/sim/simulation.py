@@ -55,8 +55,8 @@ class Physics(eqx.Module):
     switches: SwitchState
     pressed: Float[Array, "2 4"]
     """Normal force at every sole corner in the last tick, which friction goes by [N]."""
-    filtered: Float[Array, "2 4"]
-    """Vertical force at every sole corner, low-passed with `ground.FORCE_FILTER` [N]."""
+    filtered: Float[Array, "2 2 4"]
+    """Vertical force at every sole corner after each stage of the low pass, see `ground.low_passed` [N]."""
     statistics: Statistics
 
 
@@ -106,7 +106,7 @@ class Sample(eqx.Module):
     targets: Targets
     """What the controller asked for."""
     filtered_corner_force: Float[Array, "*n 2 4"] | None = None
-    """Vertical force on each sole corner, low-passed with `ground.FORCE_FILTER` [N]; None of walks in C MuJoCo."""
+    """Vertical force on each sole corner, low-passed by `ground.low_passed` [N]; None of walks in C MuJoCo."""
 
 
 class Walk(eqx.Module):
@@ -161,7 +161,7 @@ class Simulation(eqx.Module):
             integral=jnp.zeros((2, 6), qpos.dtype),
             switches=sensors.init_switches(touch.gap, scenario.sensors),
             pressed=ground.normal_force(touch),
-            filtered=touch.force[..., 2],
+            filtered=jnp.stack([touch.force[..., 2]] * 2),
             statistics=statistics.init(body),
         )
         zmp = sensors.centre_of_pressure(touch, body.p_world_trunk[:2])
@@ -420,5 +420,5 @@ def _sample(
         torque=torque,
         qpos=state.physics.qpos,
         targets=targets,
-        filtered_corner_force=state.physics.filtered,
+        filtered_corner_force=state.physics.filtered[1],
     )

@@ -111,3 +111,10 @@ def test_rates_have_derivatives_where_nothing_is_loaded():
 
     assert np.isfinite(jax.grad(total)(1.0))
     assert jax.grad(total)(1.0) > 0.0
+
+
+def test_corners_that_are_drawn_down_cost_no_margin():
+    """As by the edge of a hole: forces that cancel have no centre of pressure far outside the sole."""
+    down = np.full((2, 4), 0.125)
+    down[0] = [0.3, -0.29, 0.0, 0.0]
+    assert rate(corners=down)[MARGIN] < 1.0

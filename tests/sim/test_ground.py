@@ -172,3 +172,25 @@ def test_height_and_slope_of_terrain(x64):
         np.testing.assert_allclose(slope[:, axis], (ahead - behind) / 2e-7, atol=2e-3)
     assert np.abs(np.asarray(slope)).max() > 5.0
     np.testing.assert_array_equal(height, ground.height(scene.terrain, points))
+
+
+@pytest.mark.parametrize("dt", TICKS)
+def test_low_passed_forces_keep_the_impulse_and_hardly_tell_how_it_is_split(x64, dt):
+    """One impulse in one tick, or in parts in neighboring ticks: the same integral, nearly the same power of it."""
+    n, at = round(0.2 / dt), 3
+
+    def through(share: Any) -> tuple[Any, Any]:
+        force = jnp.zeros((n, 2, 4)).at[at].set(share / dt).at[at + 1].set((1.0 - share) / dt)
+        touch = ground.contact(BIPED, FLAT.ground, FLAT.terrain, sled(jnp.zeros(3), jnp.zeros(3)))
+
+        def tick(filtered: Any, one: Any) -> tuple[Any, Any]:
+            now = eqx.tree_at(lambda t: t.force, touch, jnp.zeros((2, 4, 3)).at[..., 2].set(one))
+            filtered = ground.low_passed(filtered, now, dt)
+            return filtered, filtered[1]
+
+        _, passed = jax.lax.scan(tick, jnp.zeros((2, 2, 4)), force)
+        return dt * passed.sum(axis=0), dt * (passed**4).sum(axis=0)
+
+    impulse, power = jax.vmap(through)(jnp.linspace(0.0, 1.0, 21))
+    np.testing.assert_allclose(impulse, 1.0, rtol=1e-9)
+    assert np.ptp(power, axis=0).max() < 0.08 * (dt / 2e-3) ** 1.5 * np.min(power)

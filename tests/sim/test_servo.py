@@ -140,7 +140,14 @@ def airborne(params, stiffer, limited, seed):
     at_rest, no_error = jnp.zeros((), jnp.int32), jnp.zeros(SHAPE)
     unloaded, stats = jnp.zeros((2, 4)), statistics.init(body)
     state = Physics(
-        at_rest, jnp.asarray(qpos), jnp.asarray(qvel), no_error, switches, unloaded, unloaded, stats
+        at_rest,
+        jnp.asarray(qpos),
+        jnp.asarray(qvel),
+        no_error,
+        switches,
+        unloaded,
+        jnp.stack([unloaded] * 2),
+        stats,
     )
     return world, state, oracle(params, actuated=True, timestep=DT)
 

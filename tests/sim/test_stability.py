@@ -54,7 +54,7 @@ def hanging(params: RobotParams, angle: Any) -> tuple[plant.Plant, Physics]:
     stats = eqx.tree_at(
         lambda s: s.pelvis_height, statistics.init(body), jnp.full((), -10.0)
     )  # never too low
-    moving = (qpos, jnp.zeros(18), still, switches, unloaded, unloaded)
+    moving = (qpos, jnp.zeros(18), still, switches, unloaded, jnp.stack([unloaded] * 2))
     return world, Physics(jnp.zeros((), jnp.int32), *moving, stats)
 
 
