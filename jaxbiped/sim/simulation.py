@@ -14,6 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped import runtime
@@ -231,17 +232,15 @@ class Simulation(eqx.Module):
         Raises:
             ValueError: for a duration, a terrain or a tick that is not allowed.
         """
-        return jax.tree.map(lambda leaf: leaf[0], self.run_many(_stacked(scenario), duration))
+        require_allowed(self.robot, self.controller, scenario, duration, self.options)
+        return jax.tree.map(lambda leaf: leaf[0], self._run(_stacked(scenario), duration))
 
     def run_many(self, scenarios: Scenario, duration: float) -> Walk:
-        """The same for scenarios with a leading axis, which all walks have too."""
-        duration = DURATION.check("duration", duration)
-        require_clear_start(self.robot, self.controller.gait, scenarios.terrain)
-        if is_concrete(scenarios):
-            gains, sinkage = jnp.max(scenarios.errors.gain_scale), jnp.min(scenarios.ground.sinkage)
-            require_stable_dt(self.robot, self.options.dt, float(sinkage), float(gains))
-        if self.options.contact == MJX:
-            mjx_contacts.check_terrain(scenarios.terrain)
+        """The same for scenarios with a leading axis, which the walks have too."""
+        require_allowed(self.robot, self.controller, scenarios, duration, self.options)
+        return self._run(scenarios, duration)
+
+    def _run(self, scenarios: Scenario, duration: float) -> Walk:
         return _compiled(self, scenarios, self.ticks(duration))
 
     def ticks(self, duration: float) -> Any:
@@ -279,8 +278,26 @@ def rollout(
     duration: float,
     options: Options | None = None,
 ) -> Walk:
-    """Walk one robot in one scenario for `duration` [s]: `prepare` and `Simulation.run`."""
+    """Walk one robot in one scenario for `duration` [s]: `prepare` and `Simulation.run`, and errors as from there."""
+    require_allowed(robot, controller, scenario, duration, options or Options())
     return prepare(robot, controller, options, rectangles_of(scenario)).run(scenario, duration)
+
+
+def require_allowed(
+    robot: RobotParams, controller: Controller, scenarios: Scenario, duration: float, options: Options
+) -> None:
+    """Refuse what cannot be walked, before anything is compiled; of scenarios only numbers that are known.
+
+    Raises:
+        ValueError: for a duration, a terrain or a tick that is not allowed.
+    """
+    DURATION.check("duration", duration)
+    require_clear_start(robot, controller.gait, scenarios.terrain)
+    if is_concrete(scenarios):
+        gains, sinkage = np.max(scenarios.errors.gain_scale), np.min(scenarios.ground.sinkage)
+        require_stable_dt(robot, options.dt, float(sinkage), float(gains))
+    if options.contact == MJX:
+        mjx_contacts.check_terrain(scenarios.terrain)
 
 
 def rectangles_of(scenario: Scenario) -> int:

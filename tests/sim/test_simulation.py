@@ -1,0 +1,94 @@
+"""One Simulation: what is compiled, and that starting and ticking by hand is a walk."""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbiped import robot
+from jaxbiped.adapt import Controller, Landing
+from jaxbiped.planner import PolynomialGait
+from jaxbiped.sim import Options, Scenario, Simulation, prepare
+
+COARSE = Options(dt=2e-3, control_every=2)
+
+
+@pytest.fixture
+def compilations() -> Iterator[list[str]]:
+    """Grows by one entry with every program that XLA is given, from its cache or not."""
+    events: list[str] = []
+
+    def listener(event: str, *_, **__) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            events.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listener)
+    yield events
+    jax.monitoring.unregister_event_duration_listener(listener)
+
+
+@pytest.fixture(scope="module")
+def surena() -> Simulation:
+    params = robot.load("surena3")
+    gait = PolynomialGait.preset(params, 2)
+    return prepare(params, Controller(gait, landing=Landing.repaired()), COARSE)
+
+
+def test_one_program_for_every_duration_and_robot_of_a_kind(surena, compilations):
+    """Durations, masses, soles and gait are numbers; another number of lanes is another program."""
+    params = surena.robot
+    scenarios = jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), Scenario.flat(1))
+    jax.block_until_ready(surena.run_many(scenarios, 0.1))
+    first = len(compilations)
+    for duration in (0.3, 1.3, 0.02):
+        walks = jax.block_until_ready(surena.run_many(scenarios, duration))
+        np.testing.assert_allclose(walks.statistics.end_time, duration, rtol=1e-5)
+    assert len(compilations) == first
+    other = eqx.tree_at(
+        lambda r: (r.links.mass, r.p_sole_corner),
+        params,
+        (1.1 * params.links.mass, 0.9 * params.p_sole_corner),
+    )
+    heavier = prepare(other, surena.controller, COARSE)
+    before = len(compilations)
+    force = heavier.run_many(scenarios, 0.3).statistics.peak_foot_force
+    assert len(compilations) == before
+    assert np.all(force > 1.05 * surena.run_many(scenarios, 0.3).statistics.peak_foot_force)
+    three = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), Scenario.flat(1))
+    surena.run_many(three, 0.1)
+    assert len(compilations) > before  # the listener listens
+
+
+def test_ticks_by_hand_are_a_walk(surena):
+    """`start` and `tick`, compiled alone, give the states that `walk` goes through."""
+    scenario = Scenario.flat(1).with_push((60.0, 0.0, 0.0), 0.05, 0.1)
+    tick = eqx.filter_jit(lambda state: surena.tick(state))
+    state = eqx.filter_jit(surena.start)(scenario)
+    assert float(state.time) == 0.0
+    for i in range(100):
+        state, sample = tick(state)
+        assert float(sample.time) == pytest.approx((i + 1) * COARSE.control_dt, rel=1e-6)
+    walk = surena.run(scenario, 100 * COARSE.control_dt)
+    ours, theirs = state.physics.statistics, walk.statistics
+    assert float(ours.peak_roll_pitch[1]) > 1e-4
+    for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-4)
+
+
+def test_a_robot_that_has_failed_stays_as_it_was(surena):
+    """Time stands still for it at the end of the tick in which it failed."""
+    scenario = Scenario.flat(1).with_push((0.0, 4000.0, 0.0), 0.01, 0.2)
+    state = eqx.filter_jit(surena.start)(scenario)
+    step = eqx.filter_jit(lambda state: surena.tick(state))
+    while int(state.physics.statistics.status) == 0 and float(state.time) < 2.0:
+        state, _ = step(state)
+    assert int(state.physics.statistics.status) != 0
+    end = float(state.physics.statistics.end_time)
+    assert float(state.time) - COARSE.control_dt < end <= float(state.time) + 1e-6
+    later, sample = step(state)
+    assert float(sample.time) == float(state.time)
+    for a, b in zip(jax.tree.leaves(state), jax.tree.leaves(later), strict=True):
+        np.testing.assert_array_equal(a, b)
