@@ -20,6 +20,7 @@ import numpy as np
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, Landing, PayloadReflex
 from jaxbiped.batch import Choice, Uniform
+from jaxbiped.commands import choices
 from jaxbiped.tune import Problem, central, forward
 
 SINGLE = ("landing.T_mod", "landing.descent_speed", "gait.H_max")
@@ -57,7 +58,8 @@ def problem(arm: str, n: int, duration: float) -> Problem:
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
     controller = Controller(gait, payload=getattr(PayloadReflex, arm)(robot, gait))
-    scenarios = jb.batch.draw(n, 1, load_kg=Uniform(3.0, 8.0), load_time_s=Uniform(1.5, 3.5))
+    grip = choices.floor_friction(robot, gait)
+    scenarios = jb.batch.draw(n, 1, load_kg=Uniform(3.0, 8.0), load_time_s=Uniform(1.5, 3.5), friction=grip)
     experiment = jb.batch.Experiment(robot, {arm: controller}, scenarios, THESIS, duration=duration)
     return Problem.of(experiment, REFLEX)
 

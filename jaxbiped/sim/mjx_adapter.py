@@ -71,7 +71,9 @@ def base_model(robot: RobotParams) -> Any:
     )
     order = [int(model.body(name).id) for name in ("trunk", "left_foot", "right_foot", "payload")]
     assert order == [TRUNK, LEFT_FOOT, RIGHT_FOOT, PAYLOAD], order
-    model.geom_rbound[:] = 0.0  # of no use without contacts, and MJX compiles anew where its copy of them differs
+    model.geom_rbound[:] = (
+        0.0  # of no use without contacts, and MJX compiles anew where its copy of them differs
+    )
     return mjx.put_model(model)
 
 
