@@ -64,7 +64,7 @@ class Walker:
         controller = Controller(gait, payload=reflex)
         options = jb.sim.Options(dt=dt, feed_forward=False, control_every=1, payload_model="thesis")
         simulation = jb.sim.prepare(robot, controller, options)
-        ticks = simulation.ticks(watch_time(controller, loaded=True))
+        ticks = simulation.ticks(watch_time(controller, 1))
 
         def one(corners: Any, friction: Any, load: Any, at: Any) -> Any:
             world = eqx.tree_at(

@@ -9,6 +9,7 @@ import argparse
 import resource
 import time
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
@@ -32,14 +33,15 @@ def experiment(name: str, n: int, seed: int, duration: float | None) -> jb.batch
     make = jb.planner.CosineGait if name == "elkahlout" else jb.planner.PolynomialGait
     gait = make.preset(robot, STEPS[name])
     walk = float(gait.duration)
+    pads: dict[str, Any] = {height_column(step): Choice(HEIGHTS[name]) for step in PADS[name]}
     scenarios = jb.batch.draw(
         n,
         seed,
-        **{height_column(step): Choice(HEIGHTS[name]) for step in PADS[name]},
+        **pads,
         load_kg=Uniform(0.0, LOADS[name]),
         load_time_s=Uniform(0.1 * walk, 0.7 * walk),
         friction=Uniform(0.3, 1.0),
-        sinkage_m=Uniform(2e-4, 8e-4),
+        sinkage_m=Uniform(1e-4, 4e-4),
         trunk_mass_scale=Normal(1.0, 0.02),
         leg_mass_scale=Normal(1.0, 0.02),
         com_x_m=Normal(0.0, 0.004),
