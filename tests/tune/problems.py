@@ -19,12 +19,20 @@ LANDING = ("landing.T_mod", "landing.descent_speed", "landing.delta_x_scale", "l
 THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
 
 
-def payload(n: int, duration: float, names: Any = PAYLOAD, heaviest: float = 8.0, seed: int = 1) -> Problem:
+def payload(
+    n: int,
+    duration: float,
+    names: Any = PAYLOAD,
+    heaviest: float = 8.0,
+    seed: int = 1,
+    friction: float = 0.8,
+) -> Problem:
     """elkahlout with the modified reflex and a load at any time of its first step."""
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
     arm = Controller(gait, payload=PayloadReflex.modified(robot, gait))
-    scenarios = jb.batch.draw(n, seed, load_kg=Uniform(3.0, heaviest), load_time_s=Uniform(1.5, 3.5))
+    loads: dict[str, Any] = {"load_kg": Uniform(3.0, heaviest), "load_time_s": Uniform(1.5, 3.5)}
+    scenarios = jb.batch.draw(n, seed, **loads, friction=friction)
     return Problem.of(
         jb.batch.Experiment(robot, {"modified": arm}, scenarios, THESIS, duration=duration), names
     )
