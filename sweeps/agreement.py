@@ -8,7 +8,7 @@ where the three agree with each other: where they do not, the contact itself dec
     python sweeps/agreement.py --json runs/agreement.json
 
 Beside it stands how often each model agrees with the other two and ours, where those agree: what a ground can reach.
-Where ours is alone, all four walk NUDGES times more with every link's mass off by a thousandth at random. If a verdict
+Where ours is alone, all four walk NUDGES times more with every link's mass off by --nudge at random. If a verdict
 changes, the scenario is on an edge and says nothing of the ground; the others must be explained.
 
 C MuJoCo does not know our damping, slip speed and tick, and its contacts are as stiff as --native-sinkage says. Its
@@ -43,7 +43,7 @@ import jaxbiped
 from jaxbiped import checked, files, robot, runtime
 from jaxbiped.adapt import Controller
 from jaxbiped.batch.summary import wilson
-from jaxbiped.checked import Refusal
+from jaxbiped.checked import Quantity, Refusal
 from jaxbiped.commands import choices
 from jaxbiped.sim import (
     STATUS_TEXT,
@@ -252,6 +252,8 @@ class Job(NamedTuple):
     native_sinkage: float
     """As stiff as which contacts in C MuJoCo are [m]."""
     cache: Path | None
+    nudge: float = NUDGE
+    """How far masses are off where ours is alone, as a share."""
 
     @property
     def name(self) -> str:
@@ -290,16 +292,18 @@ def walk(job: Job, told: Told) -> Found:
     """Walk all scenarios of a job on our ground and in C MuJoCo, and nudged those in which ours is alone."""
     each = scenarios(job)
     found = walk_these(job, each, told)
-    alone = [one for i in compare(found)["alone"] for one in nudged(each[i], (job.seed, job.numbers[i]))]
+    alone = [
+        one for i in compare(found)["alone"] for one in nudged(each[i], (job.seed, job.numbers[i]), job.nudge)
+    ]
     none = {name: {column: values[:0] for column, values in table.items()} for name, table in found.items()}
     return Found(found, walk_these(job, alone, told) if alone else none)
 
 
-def nudged(scenario: Scenario, seed: Sequence[int]) -> list[Scenario]:
-    """The same with the masses off by NUDGE at random."""
+def nudged(scenario: Scenario, seed: Sequence[int], nudge: float) -> list[Scenario]:
+    """The same with the masses off by a nudge, up or down at random."""
     rng = np.random.default_rng(seed)
     own = scenario.errors.mass_scale
-    scales = [jnp.asarray(own * rng.choice([1.0 - NUDGE, 1.0 + NUDGE], 13), own.dtype) for _ in range(NUDGES)]
+    scales = [jnp.asarray(own * rng.choice([1.0 - nudge, 1.0 + nudge], 13), own.dtype) for _ in range(NUDGES)]
     return [eqx.tree_at(lambda s: s.errors.mass_scale, scenario, scale) for scale in scales]
 
 
@@ -634,6 +638,9 @@ def main() -> None:
     parser.add_argument("--dt", type=float, help="our physics tick [s]")
     usual = float(Scenario.flat(0).ground.sinkage)
     parser.add_argument("--native-sinkage", type=float, default=usual, help="of C MuJoCo's contacts [m]")
+    parser.add_argument(
+        "--nudge", type=float, default=NUDGE, help="of masses where ours is alone, as a share"
+    )
     parser.add_argument("--cache", type=Path, default=Path("runs/agreement"), help="of walks in C MuJoCo")
     parser.add_argument("--json", type=Path, help="file for all numbers")
     parser.add_argument("--processes", type=int, default=2)
@@ -668,6 +675,7 @@ def jobs_of(given: argparse.Namespace) -> list[Job]:
     ):
         if getattr(given, name) is not None:
             RANGES[column].check(f"--{name.replace('_', '-')}", getattr(given, name))
+    Quantity("", 0.0, MASSES, above=True).check("--nudge", given.nudge)
     ground = Ground(given.sinkage, given.damping, given.slip_speed, given.dt)
     numbers = of_half(given.n, given.half)
     jobs = []
@@ -676,7 +684,16 @@ def jobs_of(given: argparse.Namespace) -> list[Job]:
             if given.variant is None or variant in given.variant:
                 ground.ticks(Options(control_every=1) if options == THESIS else Options())
                 jobs.append(
-                    Job(name, variant, numbers, given.seed, ground, given.native_sinkage, given.cache)
+                    Job(
+                        name,
+                        variant,
+                        numbers,
+                        given.seed,
+                        ground,
+                        given.native_sinkage,
+                        given.cache,
+                        given.nudge,
+                    )
                 )
     if not jobs or not numbers:
         raise Refusal(

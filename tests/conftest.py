@@ -66,3 +66,17 @@ def x64() -> Iterator[None]:
     """The test computes in float64; every other test in JAX's default, float32."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture
+def compilations() -> Iterator[list[str]]:
+    """Grows by one entry with every program that XLA is given, from its cache or not."""
+    events: list[str] = []
+
+    def listener(event: str, *_, **__) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            events.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listener)
+    yield events
+    jax.monitoring.unregister_event_duration_listener(listener)

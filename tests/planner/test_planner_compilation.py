@@ -1,7 +1,5 @@
 """Changing a number never compiles anew."""
 
-from collections.abc import Iterator
-
 import equinox as eqx
 import jax
 import numpy as np
@@ -18,21 +16,6 @@ from jaxbiped.planner import (
     sample_times,
     violations,
 )
-
-
-@pytest.fixture
-def compilations() -> Iterator[list[str]]:
-    """Grows by one entry with every program that XLA is given, from its cache or not."""
-    events: list[str] = []
-
-    def listener(event: str, *_, **__) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            events.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listener)
-    yield events
-    jax.monitoring.unregister_event_duration_listener(listener)
-
 
 _at = jax.jit(lambda gait, times: jax.vmap(lambda t: at(gait, t))(times))
 CASES = {

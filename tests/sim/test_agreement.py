@@ -246,7 +246,7 @@ def test_our_ground_agrees_with_c_mujoco_where_its_models_of_the_contact_agree(r
 
 def test_a_nudge_moves_masses_only_and_by_a_thousandth():
     scenario = agreement.scenarios(job("elkahlout", "off", [2]))[0]
-    each = agreement.nudged(scenario, (0, 2))
+    each = agreement.nudged(scenario, (0, 2), agreement.NUDGE)
     assert (
         len(each) == agreement.NUDGES
         and len({one.errors.mass_scale.tobytes() for one in map(lane, each)}) > 1

@@ -1,7 +1,5 @@
 """One Simulation: what is compiled, and that starting and ticking by hand is a walk."""
 
-from collections.abc import Iterator
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,20 +12,6 @@ from jaxbiped.planner import PolynomialGait
 from jaxbiped.sim import Options, Scenario, Simulation, prepare
 
 COARSE = Options(dt=2e-3, control_every=2)
-
-
-@pytest.fixture
-def compilations() -> Iterator[list[str]]:
-    """Grows by one entry with every program that XLA is given, from its cache or not."""
-    events: list[str] = []
-
-    def listener(event: str, *_, **__) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            events.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listener)
-    yield events
-    jax.monitoring.unregister_event_duration_listener(listener)
 
 
 @pytest.fixture(scope="module")
