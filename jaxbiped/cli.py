@@ -48,7 +48,8 @@ COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
 _HELP = ("-h", "--help")
 _PLACES = {"replay": ("--table", "--row"), "report": ("--table",)}
 """Arguments that are known by their place, not by their name."""
-_REPEATED = ("--obstacle", "--payload", "--arm")
+_REPEATED = ("--obstacle", "--payload", "--variant")
+_RENAMED = {"--arm": "--variant"}
 """Arguments of `walk` that may be given several times."""
 _TITLES = ("Missing argument", "Value error", "Required options", "Unrecognized options")
 """Of tyro's boxes of complaints."""
@@ -127,6 +128,8 @@ def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
         if not word or (word.endswith("=") and word.startswith("--")):
             raise InputError(f"{name}: got an empty argument ({word or chr(39) * 2}), allowed: a value")
         option = word.partition("=")[0].replace("_", "-")
+        if option in _RENAMED and option not in known:
+            raise InputError(f"{option}: got the old name of an argument, allowed: {_RENAMED[option]}")
         if option.startswith("--") and option not in (*known, *switched, *_HELP):
             raise InputError(
                 f"{option}: got an argument that '{name}' does not have, allowed: {', '.join(known)}"

@@ -75,7 +75,7 @@ STAGES = {
     "payload-repaired": (OFF, REPAIRED),
     "both-repaired": (REPAIRED, REPAIRED),
 }
-"""Landing and payload stage of a variant, by the names of their arms."""
+"""Landing and payload stage of a variant, by the names of their variants."""
 LIBRARY, THESIS = "library", "thesis"
 """Options of a walk: the library's defaults, or those of the thesis' own walk."""
 REFLEXES = ("off", "payload-original", "payload-modified", "payload-repaired")

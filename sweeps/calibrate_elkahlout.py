@@ -50,7 +50,7 @@ Columns = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Walker:
-    """An arm of the reflex: compiled once, for any sole and any floor."""
+    """A variant of the reflex: compiled once, for any sole and any floor."""
 
     name: str
     walk: Callable[..., Any]
@@ -143,7 +143,7 @@ def as_printed(walks: Columns, number: int) -> tuple[int, int]:
 def family(frictions: Sequence[float], heels: Sequence[float], half_width: float, dt: float) -> pl.DataFrame:
     """One row for each friction and heel."""
     off = Walker.of("off", dt)
-    arms = [Walker.of(name, dt) for name in TABLE]
+    variants = [Walker.of(name, dt) for name in TABLE]
     rows = []
     for friction, heel in itertools.product(frictions, heels):
         toe, shortest, right = longest_toe(off, half_width, friction, heel)
@@ -155,16 +155,18 @@ def family(frictions: Sequence[float], heels: Sequence[float], half_width: float
             "table_4_1": right,
             "of": 2 * len(OFF_TIMES),
         }
-        for arm in arms:
-            walks = arm.run(half_width, toe=[toe], heel=[heel], friction=[friction], load=LOADS, time=TIMES)
-            agree, printed = as_printed(walks, TABLE[arm.name])
+        for variant in variants:
+            walks = variant.run(
+                half_width, toe=[toe], heel=[heel], friction=[friction], load=LOADS, time=TIMES
+            )
+            agree, printed = as_printed(walks, TABLE[variant.name])
             probe = (walks["load"] == 15.0) & (walks["time"] == 1.2)
             row |= {
-                f"{arm.name}_succeed": int(walks["success"].sum()),
-                f"{arm.name}_as_printed": agree,
-                f"{arm.name}_printed": printed,
-                f"{arm.name}_roll_deg": round(float(np.median(walks["roll"])), 1),
-                f"{arm.name}_pitch_15kg_1.2s_deg": round(float(walks["pitch"][probe][0]), 2),
+                f"{variant.name}_succeed": int(walks["success"].sum()),
+                f"{variant.name}_as_printed": agree,
+                f"{variant.name}_printed": printed,
+                f"{variant.name}_roll_deg": round(float(np.median(walks["roll"])), 1),
+                f"{variant.name}_pitch_15kg_1.2s_deg": round(float(walks["pitch"][probe][0]), 2),
             }
         print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
         rows.append(row)
@@ -175,10 +177,12 @@ def draw(table: pl.DataFrame) -> Any:
     """The family over grip, of the first heel."""
     table = table.filter(pl.col("heel_m") == table["heel_m"][0])
     figure, axes = plt.subplots(3, 1, figsize=(7.0, 8.0), sharex=True, layout="constrained")
-    for arm, color in zip(TABLE, ("C0", "C1"), strict=True):
-        share = table[f"{arm}_as_printed"] / table[f"{arm}_printed"]
-        axes[0].plot(table["friction"], 100 * share, "o-", color=color, label=f"{arm}, Table 4.{TABLE[arm]}")
-        axes[1].plot(table["friction"], table[f"{arm}_roll_deg"], "o-", color=color, label=arm)
+    for variant, color in zip(TABLE, ("C0", "C1"), strict=True):
+        share = table[f"{variant}_as_printed"] / table[f"{variant}_printed"]
+        axes[0].plot(
+            table["friction"], 100 * share, "o-", color=color, label=f"{variant}, Table 4.{TABLE[variant]}"
+        )
+        axes[1].plot(table["friction"], table[f"{variant}_roll_deg"], "o-", color=color, label=variant)
     axes[0].set(ylabel="cells as printed [%]", ylim=(0, 102))
     axes[1].set(ylabel="median peak roll [deg]", ylim=(0, None))
     axes[2].fill_between(table["friction"], 1e3 * table["shortest_toe_m"], 1e3 * table["toe_m"], alpha=0.4)

@@ -11,7 +11,7 @@ Ten steps. A course says how high the ground is under which footholds; each foot
             reaches 35 mm under the heel of the last, step 9
 
     python sweeps/courses.py --out runs/courses
-    python sweeps/courses.py --only khadiv 'platform*' --arms paper repaired --c
+    python sweeps/courses.py --only khadiv 'platform*' --variants paper repaired --c
 """
 
 import argparse
@@ -38,7 +38,7 @@ BEHIND, BEYOND, LANE = 0.115, 0.02, 0.3
 """How far levels reach behind a heel, beyond a toe and to the side [m]."""
 STANDS_FOR = 0.5
 """How long a walk is watched after its end [s]."""
-ARMS = {"none": None, "paper": jb.adapt.Landing.paper(), "repaired": jb.adapt.Landing.repaired()}
+VARIANTS = {"none": None, "paper": jb.adapt.Landing.paper(), "repaired": jb.adapt.Landing.repaired()}
 FORCES = (800.0, 3200.0)
 """Ends of the color scale [N]; the robot weighs 804 N."""
 Row = dict[str, Any]
@@ -148,26 +148,26 @@ def scenarios(one: Setup, chosen: list[Course]) -> list[jb.sim.Scenario]:
     return [scenario(course) for course in chosen]
 
 
-def walk_all(one: Setup, arm: str, chosen: list[Course]) -> list[Row]:
+def walk_all(one: Setup, variant: str, chosen: list[Course]) -> list[Row]:
     """Walk all courses at once on the compliant ground."""
-    controller = jb.adapt.Controller(one.gait, landing=ARMS[arm])
+    controller = jb.adapt.Controller(one.gait, landing=VARIANTS[variant])
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios(one, chosen))
     done = jax.tree.map(np.asarray, jb.sim.prepare(one.robot, controller).run_many(batch, one.duration))
     lanes = [jax.tree.map(lambda leaf, i=i: leaf[i], done) for i in range(len(chosen))]
     return [
-        _row(course, arm, "compliant", lane.statistics, _missed(lane))
+        _row(course, variant, "compliant", lane.statistics, _missed(lane))
         for course, lane in zip(chosen, lanes, strict=True)
     ]
 
 
-def walk_in_c(one: Setup, arm: str, chosen: list[Course]) -> list[Row]:
+def walk_in_c(one: Setup, variant: str, chosen: list[Course]) -> list[Row]:
     """Walk them one by one in C MuJoCo, on its own contacts."""
-    controller = jb.adapt.Controller(one.gait, landing=ARMS[arm])
+    controller = jb.adapt.Controller(one.gait, landing=VARIANTS[variant])
     rows = []
     for course, scenario in zip(chosen, scenarios(one, chosen), strict=True):
         walk = jb.sim.replay_c(one.robot, controller, scenario, one.duration)
-        rows.append(_row(course, arm, "C MuJoCo", walk.statistics, _missed(walk)))
-        print(f"  {arm}, {course.name}: {in_words(rows[-1])}", flush=True)
+        rows.append(_row(course, variant, "C MuJoCo", walk.statistics, _missed(walk)))
+        print(f"  {variant}, {course.name}: {in_words(rows[-1])}", flush=True)
     return rows
 
 
@@ -176,11 +176,11 @@ def _missed(walk: jb.sim.Walk) -> Any:
     return jnp.zeros((), jnp.int32) if landing is None else landing.missed
 
 
-def _row(course: Course, arm: str, simulator: str, stats: jb.sim.Statistics, missed: Any) -> Row:
+def _row(course: Course, variant: str, simulator: str, stats: jb.sim.Statistics, missed: Any) -> Row:
     roll, pitch = np.degrees(np.asarray(stats.peak_roll_pitch))
     return {
         "course": course.name,
-        "arm": arm,
+        "variant": variant,
         "simulator": simulator,
         "status": jb.sim.STATUS_TEXT[int(stats.status)],
         "end_time_s": round(float(stats.end_time), 3),
@@ -217,32 +217,32 @@ def _worst(rows: list[Row]) -> float:
 
 
 def grouped(rows: list[Row]) -> dict[str, dict[str, list[Row]]]:
-    """Rows by course, sets of courses together, then by arm."""
+    """Rows by course, sets of courses together, then by variant."""
     groups: dict[str, dict[str, list[Row]]] = {}
     for row in rows:
-        groups.setdefault(row["course"].split(" #")[0], {}).setdefault(row["arm"], []).append(row)
+        groups.setdefault(row["course"].split(" #")[0], {}).setdefault(row["variant"], []).append(row)
     return groups
 
 
 def print_table(rows: list[Row]) -> None:
     """One line for every course: peak foot force, tilt and slip, or when it fell."""
-    arms = list(dict.fromkeys(row["arm"] for row in rows))
-    print(f"{'':26s}" + "".join(f"{arm:26s}" for arm in arms))
-    for name, by_arm in grouped(rows).items():
-        print(f"{name:26s}" + "".join(f"{summary(by_arm[arm]):26s}" for arm in arms))
+    variants = list(dict.fromkeys(row["variant"] for row in rows))
+    print(f"{'':26s}" + "".join(f"{variant:26s}" for variant in variants))
+    for name, by_variant in grouped(rows).items():
+        print(f"{name:26s}" + "".join(f"{summary(by_variant[variant]):26s}" for variant in variants))
 
 
 def print_limits(rows: list[Row]) -> None:
     """How high and how deep single pads may be, by centimetres up to the first fall."""
-    walked = {(row["arm"], row["course"]) for row in rows if row["status"] == "ok"}
+    walked = {(row["variant"], row["course"]) for row in rows if row["status"] == "ok"}
 
-    def most(arm: str, sign: int) -> int:
-        names = ((arm, f"single {sign * cm:+d} cm") for cm in range(1, MOST + 1))
+    def most(variant: str, sign: int) -> int:
+        names = ((variant, f"single {sign * cm:+d} cm") for cm in range(1, MOST + 1))
         return len(list(takewhile(walked.__contains__, names)))
 
-    for arm in dict.fromkeys(row["arm"] for row in rows):
+    for variant in dict.fromkeys(row["variant"] for row in rows):
         print(
-            f"{arm} walks over single pads of up to {most(arm, 1)} cm and holes of up to {most(arm, -1)} cm"
+            f"{variant} walks over single pads of up to {most(variant, 1)} cm and holes of up to {most(variant, -1)} cm"
         )
 
 
@@ -250,18 +250,18 @@ def print_agreement(rows: list[Row]) -> None:
     """Verdict and force of both simulators, for the walks that were done in both."""
     walks: dict[tuple[str, str], dict[str, Row]] = {}
     for row in rows:
-        walks.setdefault((row["arm"], row["course"]), {})[row["simulator"]] = row
+        walks.setdefault((row["variant"], row["course"]), {})[row["simulator"]] = row
     both = {key: walk for key, walk in walks.items() if len(walk) == 2}
     agree = {key: len({row["status"] for row in walk.values()}) == 1 for key, walk in both.items()}
-    print(f"\n{'arm':10s}{'course':26s}{'compliant ground':26s}{'C MuJoCo':26s}")
-    for (arm, course), walk in both.items():
+    print(f"\n{'variant':10s}{'course':26s}{'compliant ground':26s}{'C MuJoCo':26s}")
+    for (variant, course), walk in both.items():
         words = [f"{in_words(walk[simulator]):26s}" for simulator in ("compliant", "C MuJoCo")]
-        print(f"{arm:10s}{course:26s}" + "".join(words) + ("" if agree[arm, course] else "DIFFER"))
+        print(f"{variant:10s}{course:26s}" + "".join(words) + ("" if agree[variant, course] else "DIFFER"))
     print(f"verdicts agree in {sum(agree.values())} of {len(agree)} walks")
 
 
 def draw(rows: list[Row], file: Path) -> None:
-    """Survival and peak foot force of every course and arm; single pads on the left, ordered by height."""
+    """Survival and peak foot force of every course and variant; single pads on the left, ordered by height."""
     groups = grouped(rows)
     singles = sorted(
         (name for name in groups if name.startswith("single ")), key=lambda name: -int(name.split()[1])
@@ -276,10 +276,10 @@ def draw(rows: list[Row], file: Path) -> None:
 
 
 def _draw_panel(axes: Axes, groups: dict[str, dict[str, list[Row]]]) -> None:
-    arms, colors, scale = list(next(iter(groups.values()))), colormaps["YlOrRd"], LogNorm(*FORCES)
-    for y, by_arm in enumerate(groups.values()):
-        for x, arm in enumerate(arms):
-            rows = by_arm[arm]
+    variants, colors, scale = list(next(iter(groups.values()))), colormaps["YlOrRd"], LogNorm(*FORCES)
+    for y, by_variant in enumerate(groups.values()):
+        for x, variant in enumerate(variants):
+            rows = by_variant[variant]
             ok = [row for row in rows if row["status"] == "ok"]
             text = f"{_worst(ok):,.0f} N" if ok else f"falls at {rows[0]['end_time_s']:.1f} s"
             if len(rows) > 1:
@@ -288,8 +288,8 @@ def _draw_panel(axes: Axes, groups: dict[str, dict[str, list[Row]]]) -> None:
             face = colors(0.8 * float(scale(_worst(ok)))) if all_ok else "#9a9a9a" if ok else "#4d4d4d"
             axes.barh(y, 0.96, 0.92, x - 0.48, color=face)
             axes.text(x, y, text, ha="center", va="center", fontsize=8, color="k" if all_ok else "w")
-    axes.set(xlim=(-0.5, len(arms) - 0.5), ylim=(len(groups) - 0.5, -0.5))
-    axes.set_xticks(range(len(arms)), arms)
+    axes.set(xlim=(-0.5, len(variants) - 0.5), ylim=(len(groups) - 0.5, -0.5))
+    axes.set_xticks(range(len(variants)), variants)
     axes.set_yticks(range(len(groups)), list(groups), fontsize=8)
     axes.tick_params(length=0, top=True, labeltop=True, bottom=False, labelbottom=False)
     axes.spines[:].set_visible(False)
@@ -310,7 +310,7 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("runs/courses"))
     parser.add_argument("--only", nargs="+", default=["*"], help="names of courses, with * for anything")
-    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=list(ARMS))
+    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--c", action="store_true", help="in C MuJoCo too: some 20 s a walk")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -318,15 +318,15 @@ def main() -> None:
     if not chosen:
         parser.error(f"--only: got {arguments.only}, allowed: {', '.join(c.name for c in courses())}")
     one, rows = setup(), []
-    for arm in arguments.arms:
+    for variant in arguments.variants:
         start = time.perf_counter()
-        rows += walk_all(one, arm, chosen)
-        print(f"{arm}: {len(chosen)} walks in {time.perf_counter() - start:.0f} s, compilation included")
+        rows += walk_all(one, variant, chosen)
+        print(f"{variant}: {len(chosen)} walks in {time.perf_counter() - start:.0f} s, compilation included")
     print_table(rows)
     print_limits(rows)
     draw(rows, arguments.out / "courses.png")
     if arguments.c:
-        native = [row for arm in arguments.arms for row in walk_in_c(one, arm, chosen)]
+        native = [row for variant in arguments.variants for row in walk_in_c(one, variant, chosen)]
         print_agreement(rows + native)
         rows += native
     write(rows, arguments.out / "courses.csv")

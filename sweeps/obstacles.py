@@ -1,4 +1,4 @@
-"""surena3 over obstacles and holes from -5 to +5 cm, single and as in khadiv's experiment; arms off, paper, repaired.
+"""surena3 over obstacles and holes from -5 to +5 cm, single and as in khadiv's experiment, by off, paper, repaired.
 
 A single pad lies under step 4. khadiv's experiment has three obstacles in one walk, under steps 2, 4 and 6: here of
 every height at once, and of 3, 2 and 4 cm. Figures 10 to 13 of the paper are drawn for --replay rows.
@@ -36,15 +36,15 @@ def scenarios() -> pl.DataFrame:
 
 
 def experiment() -> jb.batch.Experiment:
-    """All of them with every arm."""
+    """All of them with every variant."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
-    arms = {
+    variants = {
         "off": Controller(gait),
         "paper": Controller(gait, landing=Landing.paper()),
         "repaired": Controller(gait, landing=Landing.repaired()),
     }
-    return jb.batch.Experiment(robot, arms, scenarios())
+    return jb.batch.Experiment(robot, variants, scenarios())
 
 
 def main() -> None:
@@ -64,7 +64,7 @@ def main() -> None:
     took = time.perf_counter() - began
     singles, force = len(HEIGHTS), pl.max_horizontal("peak_force_left_N", "peak_force_right_N")
     shown = table.with_columns(peak_force_N=force.round(0)).select(
-        "arm",
+        "variant",
         *(height_column(step) for step in SEVERAL),
         "status",
         "end_time_s",
@@ -87,7 +87,7 @@ def main() -> None:
         overview.sections(one, table, folder=arguments.out),
     )
     print(f"{table.height} walks in {took:.0f} s")
-    last = one.rows - 1  # khadiv's, with the last arm
+    last = one.rows - 1  # khadiv's, with the last variant
     for row in [last] if arguments.replay is None else arguments.replay:
         replay.run(replay.Replay(arguments.out, row, arguments.out / f"row_{row}"))
 

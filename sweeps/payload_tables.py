@@ -29,7 +29,7 @@ def experiment() -> jb.batch.Experiment:
     """The thesis' walks."""
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, STEPS)
-    arms = {
+    variants = {
         "off": Controller(gait),
         "original": Controller(gait, payload=PayloadReflex.original(robot, gait)),
         "modified": Controller(gait, payload=PayloadReflex.modified(robot, gait)),
@@ -38,11 +38,11 @@ def experiment() -> jb.batch.Experiment:
     scenarios = jb.batch.grid(
         load_kg=LOADS, load_time_s=[start + t for t in TIMES], friction=[choices.floor_friction(robot, gait)]
     )
-    return jb.batch.Experiment(robot, arms, scenarios, choices.simulation_options(robot, gait))
+    return jb.batch.Experiment(robot, variants, scenarios, choices.simulation_options(robot, gait))
 
 
 def write_csv(walks: pl.DataFrame, start: float, file: Path) -> None:
-    """One arm as the thesis prints it: a row for each time, a column for each load, 1 for a success."""
+    """One variant as the thesis prints it: a row for each time, a column for each load, 1 for a success."""
     clocked = walks.with_columns(
         time_s=(pl.col("load_time_s") - start).round(3), success=pl.col("success").cast(int)
     )
@@ -61,13 +61,13 @@ def main() -> None:
     one, began = experiment(), time.perf_counter()
     table = jb.batch.run(one, arguments.out, arguments.workers, None, arguments.overwrite, jb.batch.show())
     took, start = time.perf_counter() - began, overview.clock_start(one)
-    for arm, number in overview.THESIS.items():
-        walks = table.filter(pl.col("arm") == arm)
+    for variant, number in overview.THESIS.items():
+        walks = table.filter(pl.col("variant") == variant)
         print(tables.beside_thesis(walks, number, start))
         write_csv(walks, start, arguments.out / f"table_4_{number}.csv")
-    for arm, agreed in overview.agreements(one, table).items():
-        print(overview.agreement_in_words(arm, agreed))
-    marks = {arm: tables.thesis_table(number) for arm, number in overview.THESIS.items()}
+    for variant, agreed in overview.agreements(one, table).items():
+        print(overview.agreement_in_words(variant, agreed))
+    marks = {variant: tables.thesis_table(number) for variant, number in overview.THESIS.items()}
     for name, value in (("success", None), ("pitch", "peak_pitch_deg")):
         figure = grids.heat_map(
             table, "load_kg", "load_time_s", f"elkahlout: {name}", marks, value, offset_s=start

@@ -1,6 +1,6 @@
 """4,096 random scenarios with pads, loads, friction, soft ground, pushes, sensor faults and model errors at once.
 
-Both arms walk the same scenarios: 2,048 by default, so 4,096 walks. A Latin hypercube over all inputs.
+Both variants walk the same scenarios: 2,048 by default, so 4,096 walks. A Latin hypercube over all inputs.
 
     python sweeps/random_world.py --robot surena3 --out runs/random_world
 """
@@ -55,8 +55,11 @@ def experiment(name: str, n: int, seed: int, duration: float | None) -> jb.batch
         push_length_s=0.1,
     )
     reflex = PayloadReflex.repaired(robot, gait)
-    arms = {"off": Controller(gait), "repaired": Controller(gait, landing=Landing.repaired(), payload=reflex)}
-    return jb.batch.Experiment(robot, arms, scenarios, jb.sim.Options(), duration=duration, seed=seed)
+    variants = {
+        "off": Controller(gait),
+        "repaired": Controller(gait, landing=Landing.repaired(), payload=reflex),
+    }
+    return jb.batch.Experiment(robot, variants, scenarios, jb.sim.Options(), duration=duration, seed=seed)
 
 
 def main() -> None:
@@ -65,7 +68,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--robot", choices=list(STEPS), default="surena3")
-    parser.add_argument("--n", type=int, default=2048, help="scenarios; each is walked with two arms")
+    parser.add_argument("--n", type=int, default=2048, help="scenarios; each is walked with two variants")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--duration", type=float, help="of every walk [s]; default: as long as the longest recovery needs"
@@ -80,8 +83,8 @@ def main() -> None:
     took = time.perf_counter() - began
     with pl.Config(tbl_rows=-1, tbl_cols=-1, tbl_width_chars=140):
         print(summary.cells(table))
-        print(table.group_by("arm", "status").len().sort("arm", "status"))
-        print(summary.causes(table).group_by("arm", maintain_order=True).head(6))
+        print(table.group_by("variant", "status").len().sort("variant", "status"))
+        print(summary.causes(table).group_by("variant", maintain_order=True).head(6))
     page.write_page(
         arguments.out / "report.html",
         f"{arguments.robot} in a random world",

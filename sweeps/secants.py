@@ -7,7 +7,7 @@ every tunable, for half widths as shares of each range; once more of those that 
 the loss by more than MATTERS of it: next to nothing has no trend. With `--single`, the numbers of two walks.
 
     python sweeps/secants.py
-    python sweeps/secants.py --scenarios 4 --durations 8 --arms landing
+    python sweeps/secants.py --scenarios 4 --durations 8 --variants landing
     python sweeps/secants.py --single
 """
 
@@ -32,7 +32,7 @@ SHARES = (1e-2, 1e-3, 1e-4, 1e-5)
 """Half widths, of each range."""
 MATTERS = 0.02
 """Share of a walk's loss."""
-ARMS = ("landing", "modified", "repaired")
+VARIANTS = ("landing", "modified", "repaired")
 """surena3's repaired landing; elkahlout's reflexes."""
 LANDING = ("landing.T_mod", "landing.descent_speed", "landing.delta_x_scale", "landing.release_share")
 REFLEX = (
@@ -45,32 +45,32 @@ REFLEX = (
 THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
 
 
-def problem(arm: str, n: int, duration: float) -> Problem:
-    """A robot with an arm in random scenarios: pads and holes, or loads."""
-    if arm == "landing":
+def problem(variant: str, n: int, duration: float) -> Problem:
+    """A robot with a variant in random scenarios: pads and holes, or loads."""
+    if variant == "landing":
         robot = jb.robot.load("surena3")
         controller = Controller(jb.planner.PolynomialGait.preset(robot, 6), landing=Landing.repaired())
         heights = tuple(float(h) for h in np.linspace(-0.04, 0.04, 33) if abs(h) > 0.004)
         scenarios = jb.batch.draw(n, 1, step_1_height_m=Choice(heights), friction=Uniform(0.6, 1.0))
         return Problem.of(
-            jb.batch.Experiment(robot, {arm: controller}, scenarios, duration=duration), LANDING
+            jb.batch.Experiment(robot, {variant: controller}, scenarios, duration=duration), LANDING
         )
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
-    controller = Controller(gait, payload=getattr(PayloadReflex, arm)(robot, gait))
+    controller = Controller(gait, payload=getattr(PayloadReflex, variant)(robot, gait))
     grip = choices.floor_friction(robot, gait)
     scenarios = jb.batch.draw(n, 1, load_kg=Uniform(3.0, 8.0), load_time_s=Uniform(1.5, 3.5), friction=grip)
-    experiment = jb.batch.Experiment(robot, {arm: controller}, scenarios, THESIS, duration=duration)
+    experiment = jb.batch.Experiment(robot, {variant: controller}, scenarios, THESIS, duration=duration)
     return Problem.of(experiment, REFLEX)
 
 
-def whole_walks(arm: str, n: int, duration: float) -> None:
+def whole_walks(variant: str, n: int, duration: float) -> None:
     """Walk, print a line for each width, and the median of each tunable."""
-    one, rows = problem(arm, n, duration), np.arange(n)
+    one, rows = problem(variant, n, duration), np.arange(n)
     ranges = np.array([t.high - t.low for t in one.tunables])
     slope = forward(one, one.start, rows)
     stands = slope.status == 0
-    print(f"{arm}, {duration:g} s, {stands.sum()} of {n} walks do not fall")
+    print(f"{variant}, {duration:g} s, {stands.sum()} of {n} walks do not fall")
     for share in SHARES:
         twin = central(one, one.start, rows, 2.0 * share * ranges).by_scenario
         size = np.maximum(np.abs(slope.by_scenario), np.abs(twin))
@@ -96,9 +96,9 @@ def single() -> None:
     """Two walks, every number."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 4)
-    arm = Controller(gait, landing=Landing.repaired())
+    variant = Controller(gait, landing=Landing.repaired())
     scenarios = jb.batch.grid(step_1_height_m=HEIGHTS)
-    one = Problem.of(jb.batch.Experiment(robot, {"repaired": arm}, scenarios, duration=5.8), SINGLE)
+    one = Problem.of(jb.batch.Experiment(robot, {"repaired": variant}, scenarios, duration=5.8), SINGLE)
     rows = np.arange(len(HEIGHTS))
     columns = [forward(one, one.start, rows).by_scenario]
     columns += [central(one, one.start, rows, np.full(len(SINGLE), width)).by_scenario for width in WIDTHS]
@@ -118,14 +118,14 @@ def main() -> None:
     parser.add_argument("--single", action="store_true", help="two walks and every number")
     parser.add_argument("--scenarios", type=int, default=20)
     parser.add_argument("--durations", type=float, nargs="*", default=(8.0, 16.0), help="[s]")
-    parser.add_argument("--arms", nargs="*", choices=ARMS, default=ARMS)
+    parser.add_argument("--variants", nargs="*", choices=VARIANTS, default=VARIANTS)
     arguments = parser.parse_args()
     if arguments.single:
         single()
         return
-    for arm in arguments.arms:
+    for variant in arguments.variants:
         for duration in arguments.durations:
-            whole_walks(arm, arguments.scenarios, duration)
+            whole_walks(variant, arguments.scenarios, duration)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import jaxbiped as jb
 
 HEIGHTS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, -0.01, -0.02, -0.03, -0.04, -0.05)
 STEPS, PADDED = 10, 4
-ARMS = {"none": None, "paper": jb.adapt.Landing.paper(), "repaired": jb.adapt.Landing.repaired()}
+VARIANTS = {"none": None, "paper": jb.adapt.Landing.paper(), "repaired": jb.adapt.Landing.repaired()}
 
 
 def scenarios(robot: jb.robot.RobotParams, gait: Any) -> jb.sim.Scenario:
@@ -32,8 +32,8 @@ def main() -> None:
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
     batch, duration = scenarios(robot, gait), float(gait.duration) + 0.5
-    print("arm       height  status     end   roll  pitch  force [N]  slip [mm]")
-    for name, landing in ARMS.items():
+    print("variant       height  status     end   roll  pitch  force [N]  slip [mm]")
+    for name, landing in VARIANTS.items():
         simulation = jb.sim.prepare(robot, jb.adapt.Controller(gait, landing=landing))
         stats = jax.tree.map(np.asarray, simulation.run_many(batch, duration).statistics)
         for i, height in enumerate(HEIGHTS):

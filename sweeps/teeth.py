@@ -1,4 +1,4 @@
-"""How a loss goes over three control ticks of what every tunable of every arm moves, and where it jumps.
+"""How a loss goes over three control ticks of what every tunable of every variant moves, and where it jumps.
 
 Short walks around one event: elkahlout under 6 kg from its first swing until after the shift of x_ref, surena3 onto a
 pad and into a hole, until the height is released. Beside forward mode's slope that inside a tooth, and that over three
@@ -31,23 +31,23 @@ LANDINGS: dict[str, dict[str, Any]] = {
 }
 THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
 SHORT = {"settling_time": 0.8, "shift_time": 0.3}
-"""Of the payload arms [s]: what is read and shifted afterwards is to be seen within the walk."""
+"""Of the payload variants [s]: what is read and shifted afterwards is to be seen within the walk."""
 LOAD, LOAD_TIME = 6.0, 2.4
 """[kg], [s]: in the midst of the first swing."""
 PAD = 0.03
 """[m]"""
 
 
-def payload(arm: str, names: Any = ("payload",)) -> Problem:
-    """The robot elkahlout with a payload arm and one load."""
+def payload(variant: str, names: Any = ("payload",)) -> Problem:
+    """The robot elkahlout with a payload variant and one load."""
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 4)
-    base = arm.split(",")[0]
-    numbers = {**SHORT, **({"body_time": 1.0} if base == "repaired" else {}), **PAYLOADS[arm]}
+    base = variant.split(",")[0]
+    numbers = {**SHORT, **({"body_time": 1.0} if base == "repaired" else {}), **PAYLOADS[variant]}
     reflex = getattr(PayloadReflex, base)(robot, gait, **numbers)
     experiment = jb.batch.Experiment(
         robot,
-        {arm: Controller(gait, payload=reflex)},
+        {variant: Controller(gait, payload=reflex)},
         jb.batch.grid(load_kg=(LOAD,), load_time_s=(LOAD_TIME,)),
         THESIS,
         duration=4.2 if base != "repaired" else 5.0,
@@ -55,23 +55,23 @@ def payload(arm: str, names: Any = ("payload",)) -> Problem:
     return Problem.of(experiment, names)
 
 
-def landing(arm: str, names: Any = ("landing",)) -> Problem:
-    """surena3 with a landing arm, onto a pad and into a hole under its second step, until the next one lands."""
+def landing(variant: str, names: Any = ("landing",)) -> Problem:
+    """surena3 with a landing variant, onto a pad and into a hole under its second step, until the next one lands."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 4)
-    controller = Controller(gait, landing=getattr(Landing, arm.split(",")[0])(**LANDINGS[arm]))
+    controller = Controller(gait, landing=getattr(Landing, variant.split(",")[0])(**LANDINGS[variant]))
     scenarios = jb.batch.grid(step_1_height_m=(PAD, -PAD))
     duration = float(gait.timing.touchdown(2)) + 0.2
-    experiment = jb.batch.Experiment(robot, {arm: controller}, scenarios, duration=duration)
+    experiment = jb.batch.Experiment(robot, {variant: controller}, scenarios, duration=duration)
     return Problem.of(experiment, names)
 
 
 def problems() -> dict[str, tuple[Callable[[], Problem], int]]:
     """By name: how to make a problem, and the row of its scenario."""
-    loads = {f"elkahlout, {arm}": (lambda arm=arm: payload(arm), 0) for arm in PAYLOADS}
+    loads = {f"elkahlout, {variant}": (lambda variant=variant: payload(variant), 0) for variant in PAYLOADS}
     pads = {
-        f"surena3, {arm}, {where}": (lambda arm=arm: landing(arm), row)
-        for arm in LANDINGS
+        f"surena3, {variant}, {where}": (lambda variant=variant: landing(variant), row)
+        for variant in LANDINGS
         for row, where in enumerate(("pad", "hole"))
     }
     return loads | pads

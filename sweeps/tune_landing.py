@@ -36,7 +36,7 @@ MEANS = (
 )
 
 
-def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Experiment:
+def to_tune_on(robot: Any, variant: Controller, n: int, seed: int) -> jb.batch.Experiment:
     """One pad or hole of up to 5.1 cm, at heights that are not tried later; robots and grounds less far off."""
     heights: dict[str, Any] = {
         height_column(TUNED_STEP): Choice(tuple(0.00125 + 0.0025 * i for i in range(-21, 21)))
@@ -50,7 +50,7 @@ def to_tune_on(robot: Any, arm: Controller, n: int, seed: int) -> jb.batch.Exper
         delta_z_m=Uniform(0.008, 0.012),
         **heights,
     )
-    return jb.batch.Experiment(robot, {"arm": arm}, scenarios)
+    return jb.batch.Experiment(robot, {"variant": variant}, scenarios)
 
 
 def to_try_on() -> dict[str, pl.DataFrame]:
@@ -82,12 +82,12 @@ def to_try_on() -> dict[str, pl.DataFrame]:
 
 
 def main() -> None:
-    """Tune from every start, try every arm."""
+    """Tune from every start, try every variant."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=Path("runs/tune_landing"))
-    parser.add_argument("--start", nargs="*", choices=STARTS, default=STARTS, help="arms to start from")
+    parser.add_argument("--start", nargs="*", choices=STARTS, default=STARTS, help="variants to start from")
     parser.add_argument("--scenarios", type=int, default=96, help="to tune on; as many are held out")
     parser.add_argument("--batch", type=int, default=24, help="scenarios in a step")
     parser.add_argument("--steps", type=int, default=20)
@@ -95,26 +95,26 @@ def main() -> None:
     arguments = parser.parse_args()
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
-    arms = {name: Controller(gait, landing=getattr(Landing, name)()) for name in STARTS}
+    variants = {name: Controller(gait, landing=getattr(Landing, name)()) for name in STARTS}
     settings = Settings(steps=arguments.steps, scenarios=arguments.batch, rate=0.1)
     for name in arguments.start:
-        on, held_out = (to_tune_on(robot, arms[name], arguments.scenarios, seed) for seed in (1, 1001))
+        on, held_out = (to_tune_on(robot, variants[name], arguments.scenarios, seed) for seed in (1, 1001))
         problem, out = Problem.of(on, ["landing"], LOSS), arguments.out / f"tuned_{name}"
         found, _ = descend(
             problem, held_out, settings, {"landing": {"base": name}}, out, "python sweeps/tune_landing.py"
         )
-        arms[out.name] = tunables.apply(robot, arms[name], problem.tunables, found.values)
+        variants[out.name] = tunables.apply(robot, variants[name], problem.tunables, found.values)
     pairs = [(f"tuned_{name}", name) for name in arguments.start]
     if len(pairs) == len(STARTS):
         pairs.append(("tuned_repaired", "paper"))
     for number, (what, scenarios) in enumerate(to_try_on().items()):
-        one = jb.batch.Experiment(robot, arms, scenarios)
+        one = jb.batch.Experiment(robot, variants, scenarios)
         out = arguments.out / f"tried_{number}"
-        tuned.try_arms(what, one, out, arguments.workers, pairs, MEANS)
+        tuned.try_variants(what, one, out, arguments.workers, pairs, MEANS)
     for name in arguments.start:
         scenarios = pl.DataFrame({height_column(TUNED_STEP): HEIGHTS})
-        problem = Problem.of(jb.batch.Experiment(robot, {name: arms[name]}, scenarios), ["landing"])
-        title, file = f"surena3, arm {name}, pad under step 2", arguments.out / f"sensitivity_{name}.png"
+        problem = Problem.of(jb.batch.Experiment(robot, {name: variants[name]}, scenarios), ["landing"])
+        title, file = f"surena3, variant {name}, pad under step 2", arguments.out / f"sensitivity_{name}.png"
         tuned.sensitivity(problem, 100.0 * np.array(HEIGHTS), "height [cm]", title, file)
 
 

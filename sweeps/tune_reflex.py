@@ -19,8 +19,8 @@ import tuned
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
 from jaxbiped.batch import Uniform
-from jaxbiped.commands.choices import arm_tables, load_arm
-from jaxbiped.commands.tune import ARM_FILE, descend
+from jaxbiped.commands.choices import load_variant, variant_tables
+from jaxbiped.commands.tune import VARIANT_FILE, descend
 from jaxbiped.report import grids
 from jaxbiped.tune import Problem, Settings
 
@@ -66,16 +66,16 @@ MEANS = (pl.col("peak_pitch_deg"), pl.col("peak_roll_deg"), pl.col("end_time_s")
 
 
 def controllers(robot: Any, names: Sequence[str], steps: int) -> dict[str, Controller]:
-    """The arms it starts from."""
+    """The variants it starts from."""
     gait = jb.planner.CosineGait.preset(robot, steps)
     return {name: Controller(gait, payload=getattr(PayloadReflex, name)(robot, gait)) for name in names}
 
 
 def to_tune_on(
-    robot: Any, arm: Controller, n: int, seed: int, duration: float | None = None
+    robot: Any, variant: Controller, n: int, seed: int, duration: float | None = None
 ) -> jb.batch.Experiment:
     """Loads up to a fifth of the robot, at any time of its first step and a half."""
-    gait = arm.gait
+    gait = variant.gait
     last = float(gait.timing.first_liftoff) + 1.5 * float(gait.timing.T_c)
     scenarios = jb.batch.draw(
         n,
@@ -85,7 +85,7 @@ def to_tune_on(
         friction=Uniform(0.6, 1.0),
         trunk_mass_scale=Uniform(0.96, 1.04),
     )
-    return jb.batch.Experiment(robot, {"arm": arm}, scenarios, OPTIONS, duration=duration)
+    return jb.batch.Experiment(robot, {"variant": variant}, scenarios, OPTIONS, duration=duration)
 
 
 def to_try_on(start: float) -> dict[str, pl.DataFrame]:
@@ -110,49 +110,51 @@ def to_try_on(start: float) -> dict[str, pl.DataFrame]:
 
 
 def tune_from(name: str, robot: Any, start: Controller, arguments: argparse.Namespace) -> Path:
-    """Both rounds; the file of the arm."""
+    """Both rounds; the file of the variant."""
     tables: Any = {"payload": {"base": name}}
-    arm, file = start, Path()
+    variant, file = start, Path()
     for number, one in enumerate(ROUNDS):
         print(
             f"{name}, round {number + 1}: {len(one.names)} tunables by walks of {one.horizon:g} s", flush=True
         )
-        problem = Problem.of(to_tune_on(robot, arm, one.scenarios, 1 + number, one.horizon), one.names)
-        held_out = to_tune_on(robot, arm, arguments.held_out, 1001 + number, one.held_out)
+        problem = Problem.of(to_tune_on(robot, variant, one.scenarios, 1 + number, one.horizon), one.names)
+        held_out = to_tune_on(robot, variant, arguments.held_out, 1001 + number, one.held_out)
         steps = arguments.steps or one.steps
         settings = Settings(
             steps=steps, scenarios=arguments.batch, rate=one.rate, sigma=one.sigma, patience=10
         )
         out = arguments.out / f"{name}_{number + 1}"
         descend(problem, held_out, settings, tables, out, "python sweeps/tune_reflex.py")
-        file = out / ARM_FILE
-        tables, arm = arm_tables("--start", file), load_arm("--start", file, robot, start.gait)
+        file = out / VARIANT_FILE
+        tables, variant = variant_tables("--start", file), load_variant("--start", file, robot, start.gait)
     return file
 
 
 def main() -> None:
-    """Tune from every start, try every arm."""
+    """Tune from every start, try every variant."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=Path("runs/tune_reflex"))
-    parser.add_argument("--start", nargs="+", choices=STARTS, default=STARTS[:1], help="arms to start from")
+    parser.add_argument(
+        "--start", nargs="+", choices=STARTS, default=STARTS[:1], help="variants to start from"
+    )
     parser.add_argument("--held-out", type=int, default=64, help="scenarios that say when to stop")
     parser.add_argument("--batch", type=int, default=24, help="scenarios in a step")
     parser.add_argument("--steps", type=int, help="of each round, instead of its own number")
     parser.add_argument("--workers", type=int)
     arguments = parser.parse_args()
     robot = jb.robot.load("elkahlout")
-    short, arms = (controllers(robot, arguments.start, steps) for steps in (TUNE_STEPS, TRY_STEPS))
+    short, variants = (controllers(robot, arguments.start, steps) for steps in (TUNE_STEPS, TRY_STEPS))
     for name in arguments.start:
         file = tune_from(name, robot, short[name], arguments)
-        arms[f"tuned_{name}"] = load_arm("--start", file, robot, arms[name].gait)
+        variants[f"tuned_{name}"] = load_variant("--start", file, robot, variants[name].gait)
     pairs = [(f"tuned_{name}", name) for name in arguments.start]
-    start = float(arms[arguments.start[0]].gait.params.T_ini)
+    start = float(variants[arguments.start[0]].gait.params.T_ini)
     for number, (what, scenarios) in enumerate(to_try_on(start).items()):
-        one = jb.batch.Experiment(robot, arms, scenarios, OPTIONS)
+        one = jb.batch.Experiment(robot, variants, scenarios, OPTIONS)
         out = arguments.out / f"tried_{number}"
-        table = tuned.try_arms(what, one, out, arguments.workers, pairs, MEANS)
+        table = tuned.try_variants(what, one, out, arguments.workers, pairs, MEANS)
         if what in GRIDS:
             figure = grids.heat_map(
                 table, "load_kg", "load_time_s", f"elkahlout, {what}: success", offset_s=start
@@ -161,20 +163,22 @@ def main() -> None:
             print(summary_by_load(table))
     for name in arguments.start:
         grid = jb.batch.grid(load_kg=10.0, load_time_s=[start + t for t in TIMES])
-        one = jb.batch.Experiment(robot, {name: arms[name]}, grid, OPTIONS, duration=ROUNDS[0].horizon)
-        title, file = f"elkahlout, arm {name}, 10 kg", arguments.out / f"sensitivity_{name}.png"
+        one = jb.batch.Experiment(robot, {name: variants[name]}, grid, OPTIONS, duration=ROUNDS[0].horizon)
+        title, file = f"elkahlout, variant {name}, 10 kg", arguments.out / f"sensitivity_{name}.png"
         tuned.sensitivity(
             Problem.of(one, REFLEX), np.array(TIMES), "the thesis' time of the load [s]", title, file
         )
 
 
 def summary_by_load(table: pl.DataFrame) -> str:
-    """Successes by load, one line for each arm."""
-    counts = table.group_by("arm", "load_kg", maintain_order=True).agg(pl.col("success").sum(), n=pl.len())
+    """Successes by load, one line for each variant."""
+    counts = table.group_by("variant", "load_kg", maintain_order=True).agg(
+        pl.col("success").sum(), n=pl.len()
+    )
     lines = []
-    for walks in counts.partition_by("arm", maintain_order=True):
+    for walks in counts.partition_by("variant", maintain_order=True):
         by = ", ".join(f"{load:g} kg {good}/{n}" for _, load, good, n in walks.sort("load_kg").iter_rows())
-        lines.append(f"  {walks['arm'][0]:18s} {by}")
+        lines.append(f"  {walks['variant'][0]:18s} {by}")
     return "\n".join(lines)
 
 

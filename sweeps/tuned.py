@@ -1,4 +1,4 @@
-"""What the sweeps that tune share: trying arms, paired comparisons in words, sensitivity figures."""
+"""What the sweeps that tune share: trying variants, paired comparisons in words, sensitivity figures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from jaxbiped.report import descents
 from jaxbiped.tune import Problem
 
 
-def try_arms(
+def try_variants(
     what: str,
     experiment: jb.batch.Experiment,
     out: Path,
@@ -21,7 +21,7 @@ def try_arms(
     pairs: Sequence[tuple[str, str]],
     means: Sequence[pl.Expr],
 ) -> pl.DataFrame:
-    """Walk arms in scenarios they were not tuned on, and print what is gained."""
+    """Walk variants in scenarios they were not tuned on, and print what is gained."""
     table = jb.batch.run(experiment, out, workers, overwrite=True, progress=jb.batch.show())
     print_compared(what, table, pairs, means)
     return table
@@ -30,20 +30,21 @@ def try_arms(
 def print_compared(
     what: str, table: pl.DataFrame, pairs: Sequence[tuple[str, str]], means: Sequence[pl.Expr]
 ) -> None:
-    """Successes of every arm; for every pair of arms what the first gains on the second, with 95 % intervals."""
+    """Successes of every variant; for every pair what the first gains on the second, with 95 % intervals."""
     print(f"\n{what}")
-    for arm, n, successes in summary.cells(table).select("arm", "n", "successes").iter_rows():
-        print(f"  {arm:18s} {successes} of {n} succeed")
-    for arm, against in pairs:
-        one = summary.paired(table, arm, against)
+    for variant, n, successes in summary.cells(table).select("variant", "n", "successes").iter_rows():
+        print(f"  {variant:18s} {successes} of {n} succeed")
+    for variant, against in pairs:
+        one = summary.paired(table, variant, against)
         print(
-            f"  {arm} less {against}: {one.difference:+.1%} ({one.low:+.1%} to {one.high:+.1%}), "
-            f"{one.only_first} succeed only with {arm}, {one.only_second} only with {against}, p = {one.p_value:.2g}"
+            f"  {variant} less {against}: {one.difference:+.1%} ({one.low:+.1%} to {one.high:+.1%}), "
+            f"{one.only_first} succeed only with {variant}, {one.only_second} only with {against}, "
+            f"p = {one.p_value:.2g}"
         )
         if not one.both:
             continue
         for quantity in means:
-            m = summary.paired_means(table, arm, against, quantity)
+            m = summary.paired_means(table, variant, against, quantity)
             print(
                 f"    {m.what}: {m.mean_against:.4g} -> {m.mean:.4g}, {m.difference:+.3g} "
                 f"({m.low:+.3g} to {m.high:+.3g}) over {m.n}"

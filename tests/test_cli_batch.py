@@ -26,10 +26,16 @@ def refused(capsys, *args):
 
 @pytest.fixture(scope="module")
 def loads(tmp_path_factory):
-    """A grid of two loads at one time, two arms."""
+    """A grid of two loads at one time, two variants."""
     folder = tmp_path_factory.mktemp("loads")
     command = payload.Payload(
-        arm=("off", "modified"), loads=(2.5, 15.0), times=(1.2,), workers=1, batch=2, out=folder, json=True
+        variant=("off", "modified"),
+        loads=(2.5, 15.0),
+        times=(1.2,),
+        workers=1,
+        batch=2,
+        out=folder,
+        json=True,
     )
     return command, payload.run(command)
 
@@ -37,11 +43,11 @@ def loads(tmp_path_factory):
 def test_cells_are_the_table(loads):
     command, result = loads
     table = pl.read_parquet(command.out / "table.parquet")
-    assert [(c["arm"], c["load_kg"], c["time_s"]) for c in result["cells"]] == [
-        (arm, load, 1.2) for arm in ("off", "modified") for load in (2.5, 15.0)
+    assert [(c["variant"], c["load_kg"], c["time_s"]) for c in result["cells"]] == [
+        (variant, load, 1.2) for variant in ("off", "modified") for load in (2.5, 15.0)
     ]
     assert table["success"].to_list() == [c["success"] for c in result["cells"]]
-    by_cell = {(c["arm"], c["load_kg"]): c for c in result["cells"]}
+    by_cell = {(c["variant"], c["load_kg"]): c for c in result["cells"]}
     assert by_cell["off", 2.5]["success"] and by_cell["off", 2.5]["trigger_s"] is None
     assert not by_cell["off", 15.0]["success"] and by_cell["off", 15.0]["status"] == "fell"
     felt = by_cell["modified", 15.0]
@@ -51,16 +57,28 @@ def test_cells_are_the_table(loads):
 def test_payload_again_walks_nothing_and_says_the_same(loads, capsys, monkeypatch):
     command, result = loads
     monkeypatch.setattr("jaxbiped.batch.workers.walk_chunk", None)  # would fail if it were called
-    args = ["payload", "--arm", "off", "modified", "--loads", "2.5", "15", "--times", "1.2", "--workers", "1"]
+    args = [
+        "payload",
+        "--variant",
+        "off",
+        "modified",
+        "--loads",
+        "2.5",
+        "15",
+        "--times",
+        "1.2",
+        "--workers",
+        "1",
+    ]
     assert cli.main([*args, "--batch", "2", "--out", str(command.out), "--json"]) == cli.OK
     out, again = said(capsys)
     assert again == result
-    assert "arm off" in out and "✗" in out and "1 more, 0 fewer" in out
+    assert "variant off" in out and "✗" in out and "1 more, 0 fewer" in out
 
 
 def test_payload_into_the_folder_of_another_experiment_is_refused(loads, capsys):
     command, _ = loads
-    args = ["payload", "--arm", "off", "--loads", "2.5", "--times", "1.2", "--out", str(command.out)]
+    args = ["payload", "--variant", "off", "--loads", "2.5", "--times", "1.2", "--out", str(command.out)]
     line = refused(capsys, *args)
     assert "--out" in line and "another experiment" in line
 
@@ -126,7 +144,7 @@ def test_report_is_one_page_with_everything_in_it(loads, capsys, tmp_path):
     page.feed(file.read_text(encoding="utf-8"))
     assert {"What was walked", "Success", "Walks that fail"} <= set(page.headings)
     assert page.pictures == [] or all(src.startswith("data:image/png;base64,") for src in page.pictures)
-    assert {row["arm"]: row["successes"] for row in result["arms"]} == {"off": 1, "modified": 2}
+    assert {row["variant"]: row["successes"] for row in result["variants"]} == {"off": 1, "modified": 2}
     assert result["agreement"]["off"] == [2, 2]
 
 
@@ -134,7 +152,7 @@ def test_report_is_one_page_with_everything_in_it(loads, capsys, tmp_path):
 def pads(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pads")
     command = obstacles.Obstacles(
-        arm=("off", "repaired"),
+        variant=("off", "repaired"),
         heights=(0.02, -0.02),
         step=(1,),
         steps=3,
@@ -146,10 +164,10 @@ def pads(tmp_path_factory):
     return command, obstacles.run(command)
 
 
-def test_obstacles_say_what_every_arm_does(pads):
+def test_obstacles_say_what_every_variant_does(pads):
     _, result = pads
-    cells = {(c["arm"], c["height_m"]): c for c in result["cells"]}
-    assert set(cells) == {(arm, height) for arm in ("off", "repaired") for height in (0.02, -0.02)}
+    cells = {(c["variant"], c["height_m"]): c for c in result["cells"]}
+    assert set(cells) == {(variant, height) for variant in ("off", "repaired") for height in (0.02, -0.02)}
     for height in (0.02, -0.02):
         assert cells["repaired", height]["success"]
         assert cells["repaired", height]["peak_foot_force_N"] < 1700.0
@@ -160,7 +178,7 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(capsys, tmp_path):
     out = tmp_path / "new"
     assert cli.main(["payload", "--dry-run", "--loads", "5", "--out", str(out), "--json"]) == cli.OK
     words, result = said(capsys)
-    assert result["plan"]["walks"] == 24 and result["plan"]["arms"] == 3 and not out.exists()
+    assert result["plan"]["walks"] == 24 and result["plan"]["variants"] == 3 and not out.exists()
     assert "24 walks" in words and "MiB" in words and "min" in words
 
 
@@ -174,10 +192,10 @@ BAD = [
     (("payload", "--times", "-0.1"), ("--times", "-0.1 s")),
     (("payload", "--times", "inf"), ("--times", "inf")),
     (("payload", "--times", "9", "--steps", "2"), ("--times", "9 s", "2 steps")),
-    (("payload", "--arm", "quick"), ("--arm", "'quick'", "off, original, modified, repaired")),
-    (("payload", "--arm", "paper"), ("--arm", "'paper'")),
-    (("payload", "--arm", "off", "off"), ("--arm", "twice")),
-    (("payload", "--arm", "none.toml"), ("--arm", "none.toml")),
+    (("payload", "--variant", "quick"), ("--variant", "'quick'", "off, original, modified, repaired")),
+    (("payload", "--variant", "paper"), ("--variant", "'paper'")),
+    (("payload", "--variant", "off", "off"), ("--variant", "twice")),
+    (("payload", "--variant", "none.toml"), ("--variant", "none.toml")),
     (("payload", "--robot", "nobody"), ("--robot", "nobody")),
     (("payload", "--gait", "gallop"), ("--gait", "gallop")),
     (("payload", "--steps", "500"), ("--steps", "500")),
@@ -187,7 +205,7 @@ BAD = [
     (("payload", "--workers", "two"), ("--workers", "two")),
     (("obstacles", "--heights", "0.5"), ("--heights", "0.5 m")),
     (("obstacles", "--heights", "0.01", "0.01"), ("--heights", "twice")),
-    (("obstacles", "--arm", "modified"), ("--arm", "'modified'", "off, paper, repaired")),
+    (("obstacles", "--variant", "modified"), ("--variant", "'modified'", "off, paper, repaired")),
     (("obstacles", "--step", "8"), ("--step", "got 8", "0 to 7")),
     (("obstacles", "--step", "3", "3"), ("--step", "each once")),
     (("obstacles", "--steps", "0"), ("--steps", "0")),

@@ -17,10 +17,10 @@ import pytest
 from jaxbiped import cli, planner, robot
 from jaxbiped.commands import common, demo, tune, walk
 
-PAYLOAD = ["payload", "--arm", "off", "--loads", "5", "10", "15", "--times", "0.3", "--workers", "1"]
+PAYLOAD = ["payload", "--variant", "off", "--loads", "5", "10", "15", "--times", "0.3", "--workers", "1"]
 OBSTACLES = [
     "obstacles",
-    "--arm",
+    "--variant",
     "off",
     "--heights",
     "0.02",
@@ -133,7 +133,7 @@ def test_report_replaces_its_own_page_and_no_other(finished, tmp_path, capsys):
     assert "<h2>Success</h2>" in mine.read_text()
 
 
-def test_tune_replaces_no_other_arm(tmp_path, capsys, monkeypatch):
+def test_tune_replaces_no_other_variant(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tune, "set_up", None)  # would fail if it were called
     (tmp_path / "tuned.toml").write_text("mine")
     line = refused(capsys, "tune", "--out", str(tmp_path))
@@ -164,7 +164,7 @@ def test_links_are_not_replaced_either(tmp_path, capsys):
     assert "is there already" in line and (tmp_path / "robot.xml").is_symlink()
 
 
-def test_an_arm_that_was_changed_by_hand_is_kept(tmp_path, capsys):
+def test_an_variant_that_was_changed_by_hand_is_kept(tmp_path, capsys):
     file = tmp_path / "tuned.toml"
     file.write_text("mine")
     tune._keep_before(file, "other")
@@ -280,7 +280,7 @@ def test_never_more_lanes_than_scenarios_nor_workers_than_chunks(
     args = [
         "obstacles",
         "--dry-run",
-        "--arm",
+        "--variant",
         "off",
         "--batch",
         batch,
@@ -317,7 +317,7 @@ TUNE = [
     (("--duration", "inf"), "--duration: got inf s"),
     (("--duration", "-1"), "--duration: got -1 s"),
     (("--seed", "-1"), "--seed: got -1"),
-    (("--arm", "modifed"), "did you mean 'modified'?"),
+    (("--variant", "modifed"), "did you mean 'modified'?"),
     (("--what", "payload", "payload"), "each once"),
 ]
 
@@ -345,7 +345,7 @@ MEANT = [
     (("dmeo",), "did you mean 'demo'?"),
     (("WALK",), "did you mean 'walk'?"),
     (("payload", "--OUT", "x"), "did you mean '--out'?"),
-    (("payload", "--dry-run", "--arm", "modifed"), "did you mean 'modified'?"),
+    (("payload", "--dry-run", "--variant", "modifed"), "did you mean 'modified'?"),
     (("--versoin",), "did you mean '--version'?"),
     (("payload", "--workrs", "3"), "did you mean '--workers'?"),
     (("payload", "--dry_rum"), "did you mean '--dry-run'?"),

@@ -1,4 +1,4 @@
-"""`jaxbiped tune`: what it refuses, and the arm it writes."""
+"""`jaxbiped tune`: what it refuses, and the variant it writes."""
 
 import json
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 
 from jaxbiped import cli, tune
 from jaxbiped.commands import tune as command_tune
-from jaxbiped.commands.choices import load_arm
+from jaxbiped.commands.choices import load_variant
 from jaxbiped.commands.common import InputError
 from jaxbiped.tune.descent import Descent
 
@@ -19,9 +19,9 @@ from jaxbiped.tune.descent import Descent
         (("--robot", "atlas"), "--robot"),
         (("--what", "speed"), "--what"),
         (("--what", "gait.nothing"), "gait."),
-        (("--arm", "paper"), "for payload"),
-        (("--what", "landing", "--arm", "modified"), "for landing"),
-        (("--arm", "nowhere.toml"), "nowhere.toml"),
+        (("--variant", "paper"), "for payload"),
+        (("--what", "landing", "--variant", "modified"), "for landing"),
+        (("--variant", "nowhere.toml"), "nowhere.toml"),
         (("--scenarios", "1"), "--scenarios"),
         (("--batch", "0"), "--batch"),
         (("--steps", "0"), "--steps"),
@@ -35,7 +35,7 @@ def test_bad_input_is_refused_in_one_line(capsys, tmp_path, args, says):
     assert says in line and "allowed" in line
 
 
-def test_the_arm_that_is_written_is_read_again(tmp_path):
+def test_the_variant_that_is_written_is_read_again(tmp_path):
     """Tunables of a stage and of the gait; the robot of the command, another number of steps."""
     command = command_tune.Tune(robot="surena3", what=("landing", "gait.H_max"), scenarios=2, out=tmp_path)
     problem, held_out, start = command_tune.set_up(command)
@@ -44,14 +44,17 @@ def test_the_arm_that_is_written_is_read_again(tmp_path):
     score = {"loss": 1.0, "success": 0.5}
     tuned = tune.Tuned(problem, tune.Settings(), values, score, score, Descent(best={"step": 3}))
     path = tmp_path / "tuned.toml"
-    path.write_text(tune.arm_file(tuned, start, "jaxbiped tune"))
-    arm: Any = load_arm("--arm", path, problem.experiment.robot, problem.controller.gait)
+    path.write_text(tune.variant_file(tuned, start, "jaxbiped tune"))
+    variant: Any = load_variant("--variant", path, problem.experiment.robot, problem.controller.gait)
     np.testing.assert_allclose(
-        [*(getattr(arm.landing.params, t.field) for t in problem.tunables[:-1]), arm.gait.params.H_max],
+        [
+            *(getattr(variant.landing.params, t.field) for t in problem.tunables[:-1]),
+            variant.gait.params.H_max,
+        ],
         values,
         rtol=1e-6,
     )
-    assert arm.landing.params.no_undershoot and arm.payload is None
+    assert variant.landing.params.no_undershoot and variant.payload is None
 
 
 def test_tuning_goes_on_from_a_file(tmp_path):
@@ -60,17 +63,17 @@ def test_tuning_goes_on_from_a_file(tmp_path):
     text += "x_reflex = [[0.02, 0.01], [0.0, 0.0], [0.0, 0.0]]\n"
     first, second = tmp_path / "first.toml", tmp_path / "second.toml"
     first.write_text(text)
-    command = command_tune.Tune(what=("payload.settling_time", "gait.b_s"), scenarios=2, arm=str(first))
+    command = command_tune.Tune(what=("payload.settling_time", "gait.b_s"), scenarios=2, variant=str(first))
     problem, _, start = command_tune.set_up(command)
     before: Any = problem.controller
     assert before.payload.params.reflex_time == pytest.approx(0.3)
     values, score = problem.start * 1.1, {"loss": 1.0, "success": 0.5}
     tuned = tune.Tuned(problem, tune.Settings(), values, score, score, Descent(best={"step": 3}))
-    second.write_text(tune.arm_file(tuned, start, "jaxbiped tune"))
-    arm: Any = load_arm("--arm", second, problem.experiment.robot, problem.controller.gait)
-    params = arm.payload.params
+    second.write_text(tune.variant_file(tuned, start, "jaxbiped tune"))
+    variant: Any = load_variant("--variant", second, problem.experiment.robot, problem.controller.gait)
+    params = variant.payload.params
     assert params.settling_time == pytest.approx(4.4) and params.reflex_time == pytest.approx(0.3)
-    assert arm.gait.params.b_s == pytest.approx(1.1 * float(before.gait.params.b_s))
+    assert variant.gait.params.b_s == pytest.approx(1.1 * float(before.gait.params.b_s))
     assert params.smooth_resume is True and not params.smooth_reflex
     np.testing.assert_allclose(params.x_reflex, [[0.02, 0.01], [0.0, 0.0], [0.0, 0.0]], rtol=1e-6)
 
@@ -83,8 +86,8 @@ def test_gaits_that_cannot_be_walked_are_refused(tmp_path, text):
     problem, _, _ = command_tune.set_up(command)
     path = tmp_path / "bad.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"^--arm: .*allowed"):
-        load_arm("--arm", path, problem.experiment.robot, problem.controller.gait)
+    with pytest.raises(InputError, match=r"^--variant: .*allowed"):
+        load_variant("--variant", path, problem.experiment.robot, problem.controller.gait)
 
 
 @pytest.mark.slow

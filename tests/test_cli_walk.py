@@ -12,7 +12,7 @@ from jaxbiped import cli, planner, robot, score, sim
 from jaxbiped.adapt import tunables
 from jaxbiped.commands import choices, obstacles, payload, tune, walk, walk_words
 from jaxbiped.commands.common import InputError
-from jaxbiped.commands.walk_input import Arms, Load, Obstacle, Setup, set_up
+from jaxbiped.commands.walk_input import Load, Obstacle, Setup, Variants, set_up
 
 ANY_WALK = {"khadiv_fig6_feet", "khadiv_fig7_pelvis", "khadiv_fig8_9_zmp", "khadiv_fig12_13_forces_and_tilt"}
 LANDING = {"khadiv_fig11_modifications"}
@@ -25,9 +25,9 @@ REFLEX = {
 
 
 def made(
-    robot: str = "elkahlout", steps: int = 6, gait: str | None = None, obstacles="", payload="", arms=""
+    robot: str = "elkahlout", steps: int = 6, gait: str | None = None, obstacles="", payload="", variants=""
 ) -> Setup:
-    return set_up(robot, steps, gait, obstacles.split(), payload.split(), arms.split())
+    return set_up(robot, steps, gait, obstacles.split(), payload.split(), variants.split())
 
 
 # Settings
@@ -44,24 +44,24 @@ def test_own_gait_and_settings_of_each_robot():
 
 
 @pytest.mark.parametrize(
-    ("obstacles", "payload", "arms", "expected"),
+    ("obstacles", "payload", "variants", "expected"),
     [
-        ("", "", "", Arms("off", "off")),
-        ("2:0.02", "", "", Arms("repaired", "off")),
-        ("", "10@2.4", "", Arms("off", "modified")),
-        ("2:0.02", "10@2.4", "", Arms("repaired", "modified")),
-        ("2:0.02", "10@2.4", "off", Arms("off", "off")),
-        ("2:0.02", "10@2.4", "paper", Arms("paper", "off")),
-        ("", "", "repaired", Arms("repaired", "repaired")),
-        ("", "10@2.4", "original", Arms("off", "original")),
-        ("2:0.02", "10@2.4", "repaired original", Arms("repaired", "original")),
-        ("2:0.02", "10@2.4", "paper repaired", Arms("paper", "repaired")),
-        ("2:0.02", "10@2.4", "modified paper", Arms("paper", "modified")),
+        ("", "", "", Variants("off", "off")),
+        ("2:0.02", "", "", Variants("repaired", "off")),
+        ("", "10@2.4", "", Variants("off", "modified")),
+        ("2:0.02", "10@2.4", "", Variants("repaired", "modified")),
+        ("2:0.02", "10@2.4", "off", Variants("off", "off")),
+        ("2:0.02", "10@2.4", "paper", Variants("paper", "off")),
+        ("", "", "repaired", Variants("repaired", "repaired")),
+        ("", "10@2.4", "original", Variants("off", "original")),
+        ("2:0.02", "10@2.4", "repaired original", Variants("repaired", "original")),
+        ("2:0.02", "10@2.4", "paper repaired", Variants("paper", "repaired")),
+        ("2:0.02", "10@2.4", "modified paper", Variants("paper", "modified")),
     ],
 )
-def test_arms(obstacles, payload, arms, expected):
-    setup = made(obstacles=obstacles, payload=payload, arms=arms)
-    assert setup.arms == expected
+def test_variants(obstacles, payload, variants, expected):
+    setup = made(obstacles=obstacles, payload=payload, variants=variants)
+    assert setup.variants == expected
     landing, reflex = setup.controller.landing, setup.controller.payload
     assert (landing is None) == (expected.landing == "off")
     assert (reflex is None) == (expected.reflex == "off")
@@ -72,14 +72,14 @@ def test_arms(obstacles, payload, arms, expected):
         assert float(reflex.params.settling_time) == (2.0 if expected.reflex == "original" else 4.0)
 
 
-def test_the_file_of_an_arm_brings_its_own_gait(tmp_path):
+def test_the_file_of_an_variant_brings_its_own_gait(tmp_path):
     file = tmp_path / "tuned.toml"
     file.write_text(
         "[payload]\nbase = 'modified'\nreflex_time = 0.3\n[gait]\nb_s = 0.09\n"
         "allow_infeasible = true\n[origin]\nsteps = 3\n"
     )
-    setup = made(payload="10@2.4", arms=str(file))
-    assert setup.arms == Arms("off", str(file)) and setup.controller.landing is None
+    setup = made(payload="10@2.4", variants=str(file))
+    assert setup.variants == Variants("off", str(file)) and setup.controller.landing is None
     reflex = setup.controller.payload
     assert reflex is not None and float(reflex.params.reflex_time) == pytest.approx(0.3)
     assert setup.gait is setup.controller.gait
@@ -121,7 +121,7 @@ def test_a_preset_that_does_not_fit_the_robot_is_refused_unless_that_is_allowed(
         given = {
             "robot": file,
             "allow_infeasible": allowed,
-            "arm": "repaired" if command is tune else ("off",),
+            "variant": "repaired" if command is tune else ("off",),
         }
         if command is obstacles:
             given |= {"steps": 2, "heights": (0.0,), "step": (1,)}
@@ -131,7 +131,9 @@ def test_a_preset_that_does_not_fit_the_robot_is_refused_unless_that_is_allowed(
             given |= {"what": ("landing.T_mod",), "scenarios": 2}
         one = getattr(command, command.__name__.split(".")[-1].capitalize())(**given)
         found = command.set_up(one)
-        made: Any = found.arms if command is obstacles else found[0].arms if command is payload else None
+        made: Any = (
+            found.variants if command is obstacles else found[0].variants if command is payload else None
+        )
         return found[0].controller.gait if made is None else made["off"].gait
 
     with pytest.raises(InputError, match=r"^--robot, --gait: gait: got a ZMP .*; or say --allow-infeasible$"):
@@ -151,8 +153,8 @@ def test_obstacles_and_payload_are_in_the_scenario():
 
 def test_simulated_time_is_long_enough_for_walk_and_recovery():
     assert made().duration == pytest.approx(16.8 + 0.5)
-    assert made(payload="10@2.4", arms="off").duration == pytest.approx(16.8 + 0.5)
-    original, modified = (made(payload="10@2.4", arms=arm) for arm in ("original", "modified"))
+    assert made(payload="10@2.4", variants="off").duration == pytest.approx(16.8 + 0.5)
+    original, modified = (made(payload="10@2.4", variants=variant) for variant in ("original", "modified"))
     assert modified.duration - original.duration == pytest.approx(3.0)
     longest = (
         0.1 + 4.0 + 0.5 + (1.4 + 1.2 * 1.4) + 2.0 + 0.5 * 1.0
@@ -196,14 +198,14 @@ REFUSED = [
     (["--payload", "5@17"], ("--payload", "17 s", "0 to 16.8 s")),
     (["--payload", "5@2", "10@3"], ("--payload", "2 (5@2, 10@3)", "one")),
     (["--payload", "5@2", "--payload", "10@3"], ("--payload", "2 (5@2, 10@3)", "one")),
-    (["--arm", "best"], ("--arm", "'best'", "off, paper, original, modified, repaired")),
-    (["--arm", "nowhere.toml"], ("--arm", "nowhere.toml")),
-    (["--arm", "off", "tuned.toml"], ("--arm", "off tuned.toml", "by itself")),
-    (["--arm", "off", "paper"], ("--arm", "off paper", "one for each stage")),
-    (["--arm", "original", "modified"], ("--arm", "original modified")),
-    (["--arm", "paper", "paper"], ("--arm", "paper paper")),
-    (["--arm", "paper", "original", "repaired"], ("--arm", "paper original repaired")),
-    (["--arm"], ("--arm", "no value")),
+    (["--variant", "best"], ("--variant", "'best'", "off, paper, original, modified, repaired")),
+    (["--variant", "nowhere.toml"], ("--variant", "nowhere.toml")),
+    (["--variant", "off", "tuned.toml"], ("--variant", "off tuned.toml", "by itself")),
+    (["--variant", "off", "paper"], ("--variant", "off paper", "one for each stage")),
+    (["--variant", "original", "modified"], ("--variant", "original modified")),
+    (["--variant", "paper", "paper"], ("--variant", "paper paper")),
+    (["--variant", "paper", "original", "repaired"], ("--variant", "paper original repaired")),
+    (["--variant"], ("--variant", "no value")),
     (["--obstacle"], ("--obstacle", "no value")),
     (["--payload"], ("--payload", "no value")),
 ]
@@ -290,7 +292,7 @@ TOLD = {
     "steps": 6,
     "planned_s": 16.8,
     "constraints_broken": [],
-    "arm": {"landing": "off", "reflex": "modified"},
+    "variant": {"landing": "off", "reflex": "modified"},
     "obstacles": [{"step": 2, "height_m": -0.02}],
     "payload": {"mass_kg": 10.0, "time_s": 2.4, "thesis_time_s": 1.2},
     "thesis_time_starts_s": 1.2,
@@ -384,7 +386,7 @@ def test_surena3_over_an_obstacle(capsys, tmp_path):
     )
     assert names(result) == ANY_WALK | LANDING
     assert (result["status"], result["success"], result["finished"]) == ("ok", True, True)
-    assert result["arm"] == {"landing": "repaired", "reflex": "off"}
+    assert result["variant"] == {"landing": "repaired", "reflex": "off"}
     assert result["obstacles"] == [{"step": 1, "height_m": 0.02}] and result["payload"] is None
     assert result["had_to_stand_until_s"] == pytest.approx(result["planned_s"])
     assert result["end_time_s"] == pytest.approx(result["planned_s"] + 0.5)
@@ -405,7 +407,16 @@ def test_surena3_over_an_obstacle(capsys, tmp_path):
 
 def test_elkahlout_under_a_payload(capsys, tmp_path):
     lines, result = walked(
-        capsys, tmp_path, "--robot", "elkahlout", "--steps", "3", "--payload", "10@0.5", "--arm", "modified"
+        capsys,
+        tmp_path,
+        "--robot",
+        "elkahlout",
+        "--steps",
+        "3",
+        "--payload",
+        "10@0.5",
+        "--variant",
+        "modified",
     )
     assert names(result) == ANY_WALK | PAYLOAD | REFLEX
     assert result["payload"] == {
@@ -414,7 +425,7 @@ def test_elkahlout_under_a_payload(capsys, tmp_path):
         "end_s": None,
         "thesis_time_s": pytest.approx(-0.7),
     }
-    assert result["arm"] == {"landing": "off", "reflex": "modified"}
+    assert result["variant"] == {"landing": "off", "reflex": "modified"}
     reflex = result["reflexes"][0]
     assert 0.5 < reflex["triggered_s"] < 0.8
     assert reflex["settled_s"] == pytest.approx(reflex["triggered_s"] + 4.1, abs=1e-3)
@@ -427,7 +438,7 @@ def test_elkahlout_under_a_payload(capsys, tmp_path):
 @pytest.mark.slow
 def test_a_walk_without_adaptation_falls_over_an_obstacle(capsys, tmp_path):
     lines, result = walked(
-        capsys, tmp_path, "--robot", "surena3", "--steps", "6", "--obstacle", "2:0.04", "--arm", "off"
+        capsys, tmp_path, "--robot", "surena3", "--steps", "6", "--obstacle", "2:0.04", "--variant", "off"
     )
     assert names(result) == ANY_WALK
     assert (result["status"], result["success"]) == ("fell", False)
@@ -448,9 +459,9 @@ def test_obstacle_and_payload_at_once(capsys, tmp_path):
         "1:0.02",
         "--payload",
         "8@7",
-        "--arm",
+        "--variant",
         "repaired",
     )
     assert names(result) == ANY_WALK | LANDING | PAYLOAD | REFLEX
-    assert result["arm"] == {"landing": "repaired", "reflex": "repaired"}
+    assert result["variant"] == {"landing": "repaired", "reflex": "repaired"}
     assert result["reflexes"] and result["touches"]

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from jaxbiped import adapt
 from jaxbiped.adapt import landing, payload
-from jaxbiped.commands.choices import arm_tables, load_arm, make_gait
+from jaxbiped.commands.choices import load_variant, make_gait, variant_tables
 from jaxbiped.commands.common import InputError, load_robot
 
 write_value = importlib.import_module(
-    "jaxbiped.tune.arm_file"
+    "jaxbiped.tune.variant_file"
 )._toml  # as files of tuned controllers are written
-ARM_FILE = """
+VARIANT_FILE = """
 [landing]
 base = "repaired"
 descent_speed = 0.25
@@ -55,15 +55,15 @@ def written(folder: Path, text: str | bytes) -> Path:
 
 def refusal(folder: Path, walk, text: str | bytes) -> str:
     with pytest.raises(InputError) as caught:
-        load_arm("--arm", written(folder, text), *walk)
-    assert str(caught.value).startswith("--arm: ") and str(caught.value).isprintable()
+        load_variant("--variant", written(folder, text), *walk)
+    assert str(caught.value).startswith("--variant: ") and str(caught.value).isprintable()
     assert "tuned.toml" in str(caught.value)
     return str(caught.value)
 
 
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-def test_arm_from_a_file(tmp_path, walk, mark):
-    controller: Any = load_arm("--arm", written(tmp_path, mark + ARM_FILE.encode()), *walk)
+def test_variant_from_a_file(tmp_path, walk, mark):
+    controller: Any = load_variant("--variant", written(tmp_path, mark + VARIANT_FILE.encode()), *walk)
     landed, reflex = controller.landing.params, controller.payload.params
     assert float(landed.descent_speed) == 0.25 and landed.keep_x is False and landed.stays_down is True
     assert float(reflex.settling_time) == 3.0 and float(reflex.rearm_time) == np.inf
@@ -73,13 +73,13 @@ def test_arm_from_a_file(tmp_path, walk, mark):
 
 
 def test_stages_without_a_table_are_off(tmp_path, walk):
-    only = load_arm(
-        "--arm",
+    only = load_variant(
+        "--variant",
         written(tmp_path, '[payload]\nbase = "original"\nthreshold = 50\nzmp_balanced = -0.03'),
         *walk,
     )
     assert isinstance(only, adapt.Controller) and only.landing is None and only.payload is not None
-    off = load_arm("--arm", written(tmp_path, '[payload]\nbase = "off"\n'), *walk)
+    off = load_variant("--variant", written(tmp_path, '[payload]\nbase = "off"\n'), *walk)
     assert off.landing is None and off.payload is None
 
 
@@ -92,7 +92,7 @@ def test_every_parameter_may_be_in_a_file(tmp_path, walk, name):
     given = GIVEN if stage == "payload" else ""
     given = "\n".join(line for line in given.splitlines() if not line.startswith(f"{name} "))
     text = f"[{stage}]\nbase = '{base}'\n{given}\n{name} = {str(value).lower() if value is True else value}\n"
-    made: Any = load_arm("--arm", written(tmp_path, text), *walk)
+    made: Any = load_variant("--variant", written(tmp_path, text), *walk)
     np.testing.assert_allclose(getattr(getattr(made, stage).params, name), value, rtol=1e-6)
 
 
@@ -185,8 +185,8 @@ def test_bad_files_are_refused(tmp_path, walk, text):
 
 def test_files_that_cannot_be_read(tmp_path, walk):
     for path in (tmp_path / "nowhere.toml", tmp_path):
-        with pytest.raises(InputError, match=r"^--arm: .*got no file, allowed: a TOML file"):
-            load_arm("--arm", path, *walk)
+        with pytest.raises(InputError, match=r"^--variant: .*got no file, allowed: a TOML file"):
+            load_variant("--variant", path, *walk)
     assert "UTF-8 (at line 2)" in refusal(tmp_path, walk, b"[landing]\nbase = '\xfc'\n")
 
 
@@ -218,9 +218,9 @@ def test_any_file_is_read_or_refused(tmp_path, stages, base):
         full = table if name in ("gait", "origin") else {"base": base, **table}
         lines += [f"[{name}]", *(f"{key} = {toml(value)}" for key, value in full.items())]
     try:
-        tables = arm_tables("--arm", written(tmp_path, "\n".join(lines)))
+        tables = variant_tables("--variant", written(tmp_path, "\n".join(lines)))
     except InputError as error:
-        assert str(error).isprintable() and str(error).startswith("--arm: ")
+        assert str(error).isprintable() and str(error).startswith("--variant: ")
     else:
         assert set(tables) == set(stages) - {"origin"}
         for stage, table in tables.items():
@@ -232,14 +232,14 @@ def test_any_file_is_read_or_refused(tmp_path, stages, base):
 
 
 def test_what_is_written_is_read_again(tmp_path, walk):
-    """As `tune.arm_file` writes it: values as Python shows them, and where they came from."""
-    tables = arm_tables("--arm", written(tmp_path, ARM_FILE))
+    """As `tune.variant_file` writes it: values as Python shows them, and where they came from."""
+    tables = variant_tables("--variant", written(tmp_path, VARIANT_FILE))
     lines = []
     for name, table in tables.items():
         lines += [f"[{name}]", *(f"{key} = {write_value(value)}" for key, value in table.items())]
-    again = arm_tables(
-        "--arm", written(tmp_path, "\n".join([*lines, "[origin]", "robot = 'x'", "loss = 0.1"]))
+    again = variant_tables(
+        "--variant", written(tmp_path, "\n".join([*lines, "[origin]", "robot = 'x'", "loss = 0.1"]))
     )
     assert again == tables
     assert tables["payload"]["x_reflex"] == [[0.02, 0.01], [0.0, 0.0], [0.0, 0.0]]
-    load_arm("--arm", tmp_path / "tuned.toml", *walk)
+    load_variant("--variant", tmp_path / "tuned.toml", *walk)

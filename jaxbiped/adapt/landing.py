@@ -9,8 +9,8 @@ All offsets live in the plan's frame: what reaches the joints is (foot + its off
     release   over the next single support, when this foot is the stance foot: the robot rises or sinks onto the new
               height
 
-Arms: `Landing.paper()` follows the equations to the letter, `Landing.repaired()` (the default) mends what they break;
-every repair is a switch of its own.
+Variants: `Landing.paper()` follows the equations to the letter, `Landing.repaired()` (the default) mends what they
+break; every repair is a switch of its own.
 """
 
 from typing import Any

@@ -14,7 +14,7 @@ is not taken for one: while it recovers, or a foot is being set down, a second, 
 those of the soles in the body frame, as in the thesis; what is nominal (b_s, w_of, h_b, sway, lift, times) is read off
 the plan, so any gait will do. In the world the stance foot stands still.
 
-Arms: `original` (Eq. 3.17, 2 s), `modified` (Eqs. 4.5, 4.6, 4 s), both to the letter of the equations but for the
+Variants: `original` (Eq. 3.17, 2 s), `modified` (Eqs. 4.5, 4.6, 4 s), both to the letter of the equations but for the
 errata listed in docs/papers.md; `repaired`: every repair a switch of its own.
 """
 
@@ -87,7 +87,7 @@ PARAMETERS: dict[str, Quantity | Flag] = {
     ),
     "threshold": Quantity(
         **_FORCE,
-        text="Change of the low-passed force that starts the reflex; the named arms add what the plan itself causes.",
+        text="Change of the low-passed force that starts the reflex; named variants add what the plan itself causes.",
     ),
     "slow_threshold": Quantity(
         **_FORCE, text="The same for the slower low-pass, which decides while other things shake the robot."
@@ -136,7 +136,7 @@ PARAMETERS: dict[str, Quantity | Flag] = {
     ),
     "starts_again": Flag(
         "A further change of weight starts the reflex again; False: once, as the thesis' experiments have it. On a "
-        "robot that rocks under its load the literal arms would set themselves off again."
+        "robot that rocks under its load the literal variants would set themselves off again."
     ),
     "smooth_resume": Flag(
         "Repair: the plan is brought up to speed over a double support instead of at once."

@@ -1,7 +1,7 @@
 """What can be tuned: the few numbers of the adaptation, each with bounds, unit and the papers' default.
 
 A name is `landing.T_mod`, `payload.settling_time`, `gait.D_s` or `gait.start_stop.x_s_first`. Defaults are those of
-the arm that is tuned.
+the variant that is tuned.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ class Tunable:
     """One number of a controller."""
 
     name: str
-    """Stage and parameter, as in an arm's TOML file."""
+    """Stage and parameter, as in a variant's TOML file."""
     low: float
     """Smallest value allowed."""
     high: float
@@ -164,7 +164,7 @@ def with_values(
 def as_tables(
     robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Sequence[float]
 ) -> dict[str, dict[str, Any]]:
-    """The values as the tables of an arm's TOML file: stage, parameter, value.
+    """The values as the tables of a variant's TOML file: stage, parameter, value.
 
     Where the gait is tuned, what the payload stage had read off the old one is kept as numbers, and the table [gait]
     says `allow_infeasible = true` if the new one breaks a constraint.

@@ -7,7 +7,7 @@ from collections.abc import Collection
 
 IDENTITY = {
     "row": "number of the walk in the table",
-    "arm": "name of the controller",
+    "variant": "name of the controller",
     "scenario": "number of the scenario; every controller meets the same ones",
 }
 """Columns that number or name a walk."""

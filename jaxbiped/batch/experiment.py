@@ -1,4 +1,4 @@
-"""What is to be walked: a robot, arms of adaptation, scenarios; every arm meets every scenario."""
+"""What is to be walked: a robot, variants of adaptation, scenarios; every variant meets every scenario."""
 
 import hashlib
 import json
@@ -27,7 +27,7 @@ LANE_STEP = 8
 """Chunks are a multiple of this, so that grids of nearly the same size share what was compiled."""
 
 
-_KINDS = {"robot": RobotParams, "arms": Mapping, "scenarios": pl.DataFrame, "options": Options}
+_KINDS = {"robot": RobotParams, "variants": Mapping, "scenarios": pl.DataFrame, "options": Options}
 """What the parts of an experiment are."""
 
 
@@ -41,14 +41,14 @@ class Experiment:
 
     robot: RobotParams
     """As the planner knows it."""
-    arms: Mapping[str, Controller]
+    variants: Mapping[str, Controller]
     """Controllers by name. Pads lie under the footholds of the first one's gait."""
     scenarios: pl.DataFrame
     """One row for each scenario, see `inputs`; from `grid`, `draw` or by hand."""
     options: Options = field(default_factory=Options)
     """Of the simulation; noise and delay are switched on where a scenario has some."""
     duration: float | None = None
-    """How long every walk is simulated [s]; None: as long as the arm needs, see `durations`."""
+    """How long every walk is simulated [s]; None: as long as the variant needs, see `durations`."""
     seed: int | np.integer = 0
     """Of the sensors' noise."""
     batch: int | np.integer | None = None
@@ -64,14 +64,14 @@ class Experiment:
                 raise ValueError(
                     f"{name}: got a {type(getattr(self, name)).__name__}, allowed: a {kind.__name__}"
                 )
-        if not self.arms:
-            raise ValueError("arms: got none, allowed: at least one")
-        for name in self.arms:
+        if not self.variants:
+            raise ValueError("variants: got none, allowed: at least one")
+        for name in self.variants:
             if not isinstance(name, str) or not name or not name.isprintable():
-                raise ValueError(f"arms: got the name {name!r}, allowed: a text on one line")
-            if not isinstance(self.arms[name], Controller):
+                raise ValueError(f"variants: got the name {name!r}, allowed: a text on one line")
+            if not isinstance(self.variants[name], Controller):
                 raise ValueError(
-                    f"arms: got a {type(self.arms[name]).__name__} as '{name}', allowed: a Controller"
+                    f"variants: got a {type(self.variants[name]).__name__} as '{name}', allowed: a Controller"
                 )
         if self.duration is not None:
             object.__setattr__(self, "duration", DURATION.check("duration", self.duration))
@@ -86,18 +86,18 @@ class Experiment:
         if judge:
             least, strongest = self.table["sinkage_m"].min(), self.table["gain_scale"].max()
             require_stable_dt(self.robot, self.options.dt, float(least), float(strongest))  # type: ignore[arg-type]
-        for name, arm in self.arms.items() if judge else ():
-            self._require_walkable(name, arm)
+        for name, variant in self.variants.items() if judge else ():
+            self._require_walkable(name, variant)
 
-    def _require_walkable(self, name: str, arm: Controller) -> None:
+    def _require_walkable(self, name: str, variant: Controller) -> None:
         """Refuse obstacles that the swing foot runs into, or that it stands in at the start."""
         highest = {step: float(self.table[inputs.height_column(step)].max()) for step in self.steps}  # type: ignore[arg-type]
-        own = {step: height for step, height in highest.items() if step < arm.gait.timing.n_steps}
+        own = {step: height for step, height in highest.items() if step < variant.gait.timing.n_steps}
         try:
-            require_swing_clears(arm.gait, own)
-            require_clear_start(self.robot, arm.gait, inputs.terrain_extremes(self.table, self.pads))
+            require_swing_clears(variant.gait, own)
+            require_clear_start(self.robot, variant.gait, inputs.terrain_extremes(self.table, self.pads))
         except Refusal as error:
-            raise ValueError(f"scenarios, arm '{name}': {error}") from None
+            raise ValueError(f"scenarios, variant '{name}': {error}") from None
 
     @property
     def steps(self) -> list[int]:
@@ -112,7 +112,7 @@ class Experiment:
     @cached_property
     def pads(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Smallest and largest corner of the pad under every step that has a column."""
-        first = next(iter(self.arms.values()))
+        first = next(iter(self.variants.values()))
         return [pad_under(self.robot, first.gait, step) for step in self.steps]
 
     @cached_property
@@ -132,13 +132,16 @@ class Experiment:
 
     @cached_property
     def durations(self) -> dict[str, float]:
-        """How long the walks of every arm are simulated [s]: the plan, and a recovery for every change of weight."""
+        """How long every variant walks [s]: the plan, and a recovery for every change of weight."""
         if self.duration is not None:
-            return dict.fromkeys(self.arms, self.duration)
+            return dict.fromkeys(self.variants, self.duration)
         changes = inputs.changes_of_weight(self.table)
-        needed = {name: watch_time(arm, changes) for name, arm in self.arms.items()}
-        # Arms with the same stages share what is compiled, if they are walked for the same time.
-        alike = {name: (arm.payload is None, arm.landing is None) for name, arm in self.arms.items()}
+        needed = {name: watch_time(variant, changes) for name, variant in self.variants.items()}
+        # Variants with the same stages share what is compiled, if they are walked for the same time.
+        alike = {
+            name: (variant.payload is None, variant.landing is None)
+            for name, variant in self.variants.items()
+        }
         return {
             name: round(max(t for other, t in needed.items() if alike[other] == alike[name]), 3)
             for name in needed
@@ -160,21 +163,21 @@ class Experiment:
     def chunks(self) -> list["Chunk"]:
         """All chunks, in the order of the table's rows."""
         n, found = self.table.height, []
-        for index, arm in enumerate(self.arms):
+        for index, variant in enumerate(self.variants):
             for start in range(0, n, self.lanes):
                 stop = min(start + self.lanes, n)
-                found.append(Chunk(len(found), arm, start, stop, index * n))
+                found.append(Chunk(len(found), variant, start, stop, index * n))
         return found
 
     @property
     def rows(self) -> int:
         """Of the results table."""
-        return len(self.arms) * self.table.height
+        return len(self.variants) * self.table.height
 
     @property
     def ticks(self) -> int:
         """Physics ticks of all walks."""
-        each = sum(round(self.durations[name] / self.simulation.dt) for name in self.arms)
+        each = sum(round(self.durations[name] / self.simulation.dt) for name in self.variants)
         return each * self.table.height
 
     @cached_property
@@ -182,7 +185,7 @@ class Experiment:
         """Everything that decides the table, for JSON; the scenarios, in a file of their own, by their hash."""
         return {
             "robot": records.to_json(self.robot),
-            "arms": {name: records.to_json(arm) for name, arm in self.arms.items()},
+            "variants": {name: records.to_json(variant) for name, variant in self.variants.items()},
             "options": records.to_json(self.simulation),
             "durations_s": self.durations,
             "lanes": self.lanes,
@@ -196,10 +199,11 @@ class Experiment:
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any], scenarios: pl.DataFrame) -> "Experiment":
         """The experiment that was written as `resolved`, with its scenarios."""
-        arms = {name: records.from_json(arm) for name, arm in resolved["arms"].items()}
+        written = resolved["variants"] if "variants" in resolved else resolved["arms"]  # until format 2
+        variants = {name: records.from_json(variant) for name, variant in written.items()}
         made = cls(
             records.from_json(resolved["robot"]),
-            arms,
+            variants,
             scenarios,
             records.from_json(resolved["options"]),
             batch=resolved["lanes"],
@@ -211,14 +215,14 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Walks of one arm that are simulated at once: scenarios `start` to `stop`."""
+    """Walks of one variant that are simulated at once: scenarios `start` to `stop`."""
 
     number: int
-    arm: str
+    variant: str
     start: int
     stop: int
     first_row: int
-    """Row of the results table of this arm's first scenario."""
+    """Row of the results table of this variant's first scenario."""
 
 
 def table_hash(table: pl.DataFrame) -> str:

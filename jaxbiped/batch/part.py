@@ -24,9 +24,9 @@ def walk_chunk(experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
     table = experiment.table[rows.tolist()]
     batch = inputs.scenarios_of(table, experiment.pads)
     simulation = sim.prepare(
-        experiment.robot, experiment.arms[chunk.arm], experiment.simulation, sim.rectangles_of(batch)
+        experiment.robot, experiment.variants[chunk.variant], experiment.simulation, sim.rectangles_of(batch)
     )
-    walks = simulation.run_many(batch, experiment.durations[chunk.arm])
+    walks = simulation.run_many(batch, experiment.durations[chunk.variant])
     outcome = _outcomes(walks, simulation.controller, batch)
     n = chunk.stop - chunk.start
     outcome = {name: np.asarray(column)[:n] for name, column in outcome.items()}
@@ -76,7 +76,7 @@ def _identity(chunk: Chunk) -> pl.DataFrame:
     return pl.DataFrame(
         {
             "row": pl.Series(chunk.first_row + scenario, dtype=pl.Int64),
-            "arm": [chunk.arm] * len(scenario),
+            "variant": [chunk.variant] * len(scenario),
             "scenario": pl.Series(scenario, dtype=pl.Int64),
         }
     )

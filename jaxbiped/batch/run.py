@@ -19,7 +19,7 @@ from jaxbiped.checked import whole
 TICKS_PER_SECOND = 6e4
 """Physics ticks of a walk in a second on one core, roughly; for estimates."""
 COMPILE_SECONDS = 60.0
-"""To compile the walks of one arm, roughly; a quarter from the cache."""
+"""To compile the walks of one variant, roughly; a quarter from the cache."""
 BASE_MIB, LANE_KIB = 2000.0, 40.0
 """Memory of a worker while it compiles, without its walks, and of one walk, roughly."""
 MAX_WORKERS = 4096
@@ -30,7 +30,7 @@ class Plan:
     """What a run is going to do, see `--dry-run`."""
 
     scenarios: int
-    arms: int
+    variants: int
     walks: int
     chunks: int
     chunks_done: int
@@ -111,13 +111,13 @@ def plan(
     found = Found({}, {}) if out is None else Store(_folder(out), experiment, overwrite).inspect()
     left = [chunk for chunk in experiment.chunks if chunk.number not in found.failed]
     ticks = sum(
-        experiment.lanes * experiment.durations[chunk.arm] / experiment.simulation.dt for chunk in left
+        experiment.lanes * experiment.durations[chunk.variant] / experiment.simulation.dt for chunk in left
     )
-    compiled = len({chunk.arm for chunk in left})
+    compiled = len({chunk.variant for chunk in left})
     processes = min(given or _for_this_machine(), max(1, len(left)))
     return Plan(
         scenarios=experiment.table.height,
-        arms=len(experiment.arms),
+        variants=len(experiment.variants),
         walks=experiment.rows,
         chunks=len(experiment.chunks),
         chunks_done=len(found.failed),

@@ -38,8 +38,11 @@ from jaxbiped.score import STATUS_TEXT
 
 EXPERIMENT, SCENARIOS, TABLE, PARTS = "experiment.json", "scenarios.parquet", "table.parquet", "parts"
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars")
-FORMAT = 2
-"""Of the folder. Version 0.1 wrote none: its parts carry no checksum, and are judged by their rows alone."""
+FORMAT = 3
+"""Of the folder."""
+CALLED: dict[int | None, str] = {None: "arm", 2: "arm", FORMAT: "variant"}
+"""What every format calls a variant. Version 0.1 wrote no format: its parts carry no checksum, and are judged by their
+rows alone."""
 SEAL = "jaxbiped"
 """Entry of a Parquet file's own metadata that says whose it is."""
 _NO_SUM = "0" * 64
@@ -289,8 +292,8 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
     try:
         described = json.loads((folder / EXPERIMENT).read_text(encoding="utf-8"))
         key, version = described["key"], described.get("format")
-        if version is not None and (type(version) is not int or version != FORMAT):
-            raise ValueError(f"its format is {version!r}, this version reads {FORMAT}")
+        if isinstance(version, bool) or version not in CALLED:
+            raise ValueError(f"its format is {version!r}, this version reads 2 and {FORMAT}")
         if key != records.digest({name: described[name] for name in ("experiment", "code")}):
             raise DamagedError(f"{EXPERIMENT} was changed: its key is not that of what it says")
         scenarios = _require_scenarios(folder / SCENARIOS, described["experiment"]["scenarios"]["sha256"])
@@ -303,7 +306,9 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
         part = part_file(folder, key, chunk)
         if os.path.lexists(part):
             try:
-                rows.append(read_part(part, None if version is None else key, written, chunk))
+                rows.append(
+                    read_part(part, None if version is None else key, written, chunk, CALLED[version])
+                )
             except DamagedError as error:
                 tell(f"'{part}' is damaged ({error}): left out; running the same command again makes it anew")
     if not rows:
@@ -321,7 +326,9 @@ def part_file(folder: Path, key: str, chunk: Chunk) -> Path:
     return folder / PARTS / f"{key[:16]}-{chunk.number:05d}.parquet"
 
 
-def read_part(path: Path, key: str | None, scenarios: pl.DataFrame, chunk: Chunk) -> pl.DataFrame:
+def read_part(
+    path: Path, key: str | None, scenarios: pl.DataFrame, chunk: Chunk, called: str = CALLED[FORMAT]
+) -> pl.DataFrame:
     """Rows of a chunk, if the file is that chunk's and as it was written.
 
     Args:
@@ -329,6 +336,7 @@ def read_part(path: Path, key: str | None, scenarios: pl.DataFrame, chunk: Chunk
         key: of the experiment; None for a part of version 0.1, which says neither whose it is nor its checksum.
         scenarios: of the experiment whose part it is, with every input that was written.
         chunk: which part.
+        called: what the part calls a variant.
 
     Raises:
         DamagedError: if it is not: says why.
@@ -340,12 +348,14 @@ def read_part(path: Path, key: str | None, scenarios: pl.DataFrame, chunk: Chunk
     if key is not None or _SUM.search(content[-(1 << 16) :]):
         _require_sum(content)
     frame = _frame(content)
+    if called in frame.columns:
+        frame = frame.rename({called: CALLED[FORMAT]})
     if key is not None:
-        _require_seal(content, {"key": key, **_identity(chunk)})
+        _require_seal(content, {"key": key, **_identity(chunk, called)})
     inputs = scenarios[chunk.start : chunk.stop]
     expected = {
         "row": np.arange(chunk.stop - chunk.start) + chunk.first_row + chunk.start,
-        "arm": [chunk.arm] * inputs.height,
+        "variant": [chunk.variant] * inputs.height,
         "scenario": np.arange(chunk.start, chunk.stop),
     }
     for name, values in {**expected, **{name: inputs[name] for name in inputs.columns}}.items():
@@ -387,9 +397,13 @@ def _require_seal(content: bytes, identity: dict[str, Any]) -> None:
             raise DamagedError(f"it is of another {'experiment' if name == 'key' else name}")
 
 
-def _identity(chunk: Chunk) -> dict[str, Any]:
+def _identity(chunk: Chunk, called: str = CALLED[FORMAT]) -> dict[str, Any]:
     first = chunk.first_row + chunk.start
-    return {"chunk": chunk.number, "arm": chunk.arm, "rows": [first, first + chunk.stop - chunk.start]}
+    return {
+        "chunk": chunk.number,
+        called: chunk.variant,
+        "rows": [first, first + chunk.stop - chunk.start],
+    }
 
 
 def _require_scenarios(path: Path, sha256: str) -> pl.DataFrame:

@@ -1,6 +1,6 @@
-"""What a table of walks says: success rates, one arm against another, limits, and which input decides.
+"""What a table of walks says: success rates, one variant against another, limits, and which input decides.
 
-A table has one row per walk: `arm` and `scenario` (every arm meets the same scenarios), the inputs, the outcome.
+A table has one row per walk: `variant` and `scenario` (every variant meets the same scenarios), inputs, outcome.
 """
 
 import math
@@ -24,43 +24,43 @@ UP, DOWN = "up", "down"
 
 @dataclass(frozen=True)
 class Paired:
-    """Two arms in the same scenarios."""
+    """Two variants in the same scenarios."""
 
-    arm: str
+    variant: str
     against: str
     n: int
-    """Scenarios that both arms met; the counts below add up to it."""
+    """Scenarios that both variants met; the counts below add up to it."""
     both: int
     only_first: int
-    """Scenarios in which only `arm` succeeds."""
+    """Scenarios in which only `variant` succeeds."""
     only_second: int
     """Scenarios in which only `against` succeeds."""
     neither: int
     difference: float
-    """Success rate of `arm` less that of `against`, from -1 to 1."""
+    """Success rate of `variant` less that of `against`, from -1 to 1."""
     low: float
     high: float
     """Ends of the 95 % interval of the difference: Newcombe (1998), method 10, for paired proportions."""
     p_value: float
-    """McNemar's exact test, two-sided: how likely so lopsided discordant scenarios are between arms that are alike."""
+    """McNemar's exact test, two-sided: how likely so lopsided discordant scenarios are if the variants are alike."""
     unpaired: int
-    """Scenarios left out because only one of the arms met them."""
+    """Scenarios left out because only one of the variants met them."""
 
 
 @dataclass(frozen=True)
 class PairedMeans:
-    """A quantity of two arms in the same scenarios, where both succeed."""
+    """A quantity of two variants in the same scenarios, where both succeed."""
 
-    arm: str
+    variant: str
     against: str
     what: str
     n: int
     """Scenarios in which both succeed."""
     mean: float
-    """Of `arm`."""
+    """Of `variant`."""
     mean_against: float
     difference: float
-    """Mean of `arm` less that of `against`."""
+    """Mean of `variant` less that of `against`."""
     low: float
     high: float
     """Ends of the 95 % interval of the difference: Student's t for few scenarios, else BCa, see `intervals.of_mean`."""
@@ -86,9 +86,9 @@ def wilson(successes: int, n: int, confidence: float = CONFIDENCE) -> tuple[floa
     return low, 1.0 if successes == n else middle + half
 
 
-def arms(table: pl.DataFrame) -> list[str]:
-    """Names of the arms, in the order in which they first occur."""
-    return table["arm"].unique(maintain_order=True).to_list()
+def variants(table: pl.DataFrame) -> list[str]:
+    """Names of the variants, in the order in which they first occur."""
+    return table["variant"].unique(maintain_order=True).to_list()
 
 
 def inputs(table: pl.DataFrame) -> list[str]:
@@ -104,21 +104,21 @@ def without_never(table: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:
 
 
 def cells(table: pl.DataFrame, by: Sequence[str] = ()) -> pl.DataFrame:
-    """Count the successes of every arm at every value of the named inputs.
+    """Count the successes of every variant at every value of the named inputs.
 
     Args:
         table: one row per walk.
-        by: inputs that together make a cell; none for the arms as a whole.
+        by: inputs that together make a cell; none for the variants as a whole.
 
     Returns:
-        Columns arm, the inputs, n, successes, rate, low, high (Wilson's 95 % interval): the arms in the table's order,
-        values rising.
+        Columns variant, the inputs, n, successes, rate, low, high (Wilson's 95 % interval): the variants in the
+        table's order, values rising.
     """
-    counts = table.group_by("arm", *by).agg(
+    counts = table.group_by("variant", *by).agg(
         n=pl.len().cast(pl.Int64), successes=pl.col("success").sum().cast(pl.Int64)
     )
-    place = {arm: i for i, arm in enumerate(arms(table))}
-    order = pl.col("arm").replace_strict(place, return_dtype=pl.Int64)
+    place = {variant: i for i, variant in enumerate(variants(table))}
+    order = pl.col("variant").replace_strict(place, return_dtype=pl.Int64)
     counts = counts.sort(order, *by)
     ends = [wilson(s, n) for s, n in counts.select("successes", "n").iter_rows()]
     return counts.with_columns(
@@ -128,24 +128,24 @@ def cells(table: pl.DataFrame, by: Sequence[str] = ()) -> pl.DataFrame:
     )
 
 
-def paired(table: pl.DataFrame, arm: str, against: str) -> Paired:
-    """Compare two arms over the scenarios that both met.
+def paired(table: pl.DataFrame, variant: str, against: str) -> Paired:
+    """Compare two variants over the scenarios that both met.
 
     Args:
-        table: one row per walk; a scenario at most once per arm.
-        arm: the first arm.
-        against: the second arm.
+        table: one row per walk; a scenario at most once per variant.
+        variant: the first variant.
+        against: the second variant.
     """
-    first, second = (_by_scenario(table, name) for name in (arm, against))
+    first, second = (_by_scenario(table, name) for name in (variant, against))
     joined = first.join(second, on="scenario", how="inner", suffix="_against")
     n = joined.height
     if n == 0:
-        raise ValueError(f"arms {arm!r} and {against!r} have no scenario in common")
+        raise ValueError(f"variants {variant!r} and {against!r} have no scenario in common")
     a, b = joined["success"], joined["success_against"]
     counts = [int(both.sum()) for both in (a & b, a & ~b, ~a & b, ~a & ~b)]
     low, high = newcombe(*counts)
     return Paired(
-        arm,
+        variant,
         against,
         n,
         *counts,
@@ -157,28 +157,28 @@ def paired(table: pl.DataFrame, arm: str, against: str) -> Paired:
     )
 
 
-def paired_means(table: pl.DataFrame, arm: str, against: str, what: pl.Expr) -> PairedMeans:
-    """Compare a quantity of two arms over the scenarios in which both succeed.
+def paired_means(table: pl.DataFrame, variant: str, against: str, what: pl.Expr) -> PairedMeans:
+    """Compare a quantity of two variants over the scenarios in which both succeed.
 
     Args:
-        table: one row per walk; a scenario at most once per arm.
-        arm: the first arm.
-        against: the second arm.
+        table: one row per walk; a scenario at most once per variant.
+        variant: the first variant.
+        against: the second variant.
         what: a quantity of a walk, as an expression with a name.
     """
     values = table.with_columns(what)
     name = what.meta.output_name()
     first, second = (
-        _by_scenario(values, which, name).filter("success").drop("success") for which in (arm, against)
+        _by_scenario(values, which, name).filter("success").drop("success") for which in (variant, against)
     )
     joined = first.join(second, on="scenario", how="inner", suffix="_against").sort("scenario")
     pairs = joined.select(name, f"{name}_against").to_numpy().astype(float)
     if not len(pairs):
-        raise ValueError(f"arms {arm!r} and {against!r} have no scenario in which both succeed")
+        raise ValueError(f"variants {variant!r} and {against!r} have no scenario in which both succeed")
     gap = pairs[:, 0] - pairs[:, 1]
     low, high = intervals.of_mean(gap)
     mean, other = (float(mean) for mean in pairs.mean(axis=0))
-    return PairedMeans(arm, against, name, len(gap), mean, other, float(gap.mean()), low, high)
+    return PairedMeans(variant, against, name, len(gap), mean, other, float(gap.mean()), low, high)
 
 
 def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
@@ -221,7 +221,7 @@ def frontier(
     levels: Sequence[float] = (0.95, 0.5),
     signed: bool = False,
 ) -> pl.DataFrame:
-    """Find how far up an input can go before an arm's success rate first falls below a level.
+    """Find how far up an input can go before a variant's success rate first falls below a level.
 
     The walk up ends at the first value that falls short: a larger one that does well again does not count. Rates are
     counted from few walks. How far that may be out is told by Wilson's 95 % interval of the rate at every value: the
@@ -231,16 +231,16 @@ def frontier(
     Args:
         table: one row per walk; `what` takes few values, each met by several walks.
         what: the input whose limit is looked for.
-        by: the input over which limits are listed; None for one limit per arm.
+        by: the input over which limits are listed; None for one limit per variant.
         levels: success rates to stay at or above.
         signed: `what` runs both ways from 0 (heights): go up from 0 and down from 0 instead of up from the smallest.
 
     Returns:
-        Columns arm, `by`, direction ("up" or "down"), level, `what` (null if the first value falls short already),
+        Columns variant, `by`, direction ("up" or "down"), level, `what` (null if the first value falls short already),
         low (null if not even the first value is sure), high (null if no value tested is surely too much) and beyond:
         whether every value tested holds, so that the true limit may lie further out.
     """
-    groups = ["arm"] if by is None else ["arm", by]
+    groups = ["variant"] if by is None else ["variant", by]
     known = without_never(table, [what, *groups[1:]]).drop_nulls([what, *groups])
     rows = [
         (*key, direction, level, *_limit(ladder, level))
@@ -256,7 +256,7 @@ def frontier(
 
 
 def causes(table: pl.DataFrame, names: Sequence[str] | None = None) -> pl.DataFrame:
-    """Say which inputs decide over success: their mutual information with it, the most telling first in every arm.
+    """Say which inputs decide over success: their mutual information with it, the most telling first in every variant.
 
     An input is cut at its quantiles into BINS parts at most, or into its own values where it has no more; missing
     values, and times at which nothing ever happens, are a part of their own. Information is corrected for the number
@@ -265,26 +265,26 @@ def causes(table: pl.DataFrame, names: Sequence[str] | None = None) -> pl.DataFr
 
     Args:
         table: one row per walk.
-        names: inputs to look at; all that vary within an arm by default.
+        names: inputs to look at; all that vary within a variant by default.
 
     Returns:
-        Columns arm, input, information_bits, share (of the uncertainty about success, 0 to 1), bins, rate_lowest and
+        Columns variant, input, information_bits, share (of the uncertainty about success, 0 to 1), bins, rate_lowest,
         rate_highest (success rates in the lowest and in the highest bin), lowest_to and highest_from (where these
         bins end and begin, in the input's own unit).
     """
     looked_at = inputs(table) if names is None else list(names)
     table = without_never(table, looked_at)
     rows = []
-    for arm in arms(table):
-        walks = table.filter(pl.col("arm") == arm)
+    for variant in variants(table):
+        walks = table.filter(pl.col("variant") == variant)
         varying = [name for name in looked_at if walks[name].drop_nulls().n_unique() > 1]
-        found = [{"arm": arm, "input": name, **_cause(walks, name)} for name in varying]
+        found = [{"variant": variant, "input": name, **_cause(walks, name)} for name in varying]
         rows += sorted(found, key=lambda row: -row["information_bits"])
     return pl.DataFrame(rows, schema=_CAUSES)
 
 
 _CAUSES = {
-    "arm": pl.String(),
+    "variant": pl.String(),
     "input": pl.String(),
     "information_bits": pl.Float64(),
     "share": pl.Float64(),
@@ -309,12 +309,12 @@ def information(codes: np.ndarray, success: np.ndarray) -> float:
     return max(0.0, bins + outcome - together + bias)
 
 
-def _by_scenario(table: pl.DataFrame, arm: str, *more: str) -> pl.DataFrame:
-    walks = table.filter(pl.col("arm") == arm).select("scenario", "success", *more)
+def _by_scenario(table: pl.DataFrame, variant: str, *more: str) -> pl.DataFrame:
+    walks = table.filter(pl.col("variant") == variant).select("scenario", "success", *more)
     if walks.is_empty():
-        raise ValueError(f"no arm {arm!r}; there are {', '.join(arms(table))}")
+        raise ValueError(f"no variant {variant!r}; there are {', '.join(variants(table))}")
     if walks["scenario"].n_unique() < walks.height:
-        raise ValueError(f"arm {arm!r} meets a scenario more than once")
+        raise ValueError(f"variant {variant!r} meets a scenario more than once")
     return walks
 
 
@@ -361,7 +361,7 @@ def _limit(ladder: Sequence[Rung], level: float) -> tuple[Any, Any, Any, bool]:
 
 
 def _cause(walks: pl.DataFrame, name: str) -> dict[str, Any]:
-    """What one input says about success in one arm."""
+    """What one input says about success in one variant."""
     values = walks[name].cast(pl.Float64).fill_null(math.nan).to_numpy()
     success = walks["success"].to_numpy().astype(int)
     codes = _bins(values)

@@ -28,7 +28,7 @@ from jaxbiped.batch.part import walk_chunk
 from jaxbiped.batch.store import code
 
 ROOM_MIB = 1200.0
-"""Of memory, over which a worker forgets what it has compiled for another kind of arm before it compiles again."""
+"""Of memory, over which a worker forgets what it has compiled for another kind of variant before it compiles again."""
 DEATHS = 10
 """How many workers may die over one chunk before it is given up; of a scheduler elsewhere its own setting counts."""
 WORKER_SCRIPT = """
@@ -81,7 +81,7 @@ def in_this_process(experiment: Experiment, chunks: list[Chunk]) -> Done:
 def on_dask(experiment: Experiment, chunks: list[Chunk], workers: int, scheduler: str | None) -> Done:
     """Walk on Dask workers, as they finish: `workers` processes of this machine, or those of a scheduler's address.
 
-    The first chunk of every arm goes ahead of the others of its arm: the worker that gets it compiles, and the others
+    The first chunk of every variant goes ahead of its others: the worker that gets it compiles, and the others
     find what it compiled in JAX's compilation cache.
 
     Raises:
@@ -92,14 +92,14 @@ def on_dask(experiment: Experiment, chunks: list[Chunk], workers: int, scheduler
         require_address(scheduler)
     waiting: dict[str, list[Chunk]] = {}
     for chunk in chunks:
-        waiting.setdefault(chunk.arm, []).append(chunk)
+        waiting.setdefault(chunk.variant, []).append(chunk)
     with _loss_as_error(scheduler), _client(workers, scheduler) as client:
         crew = _Crew(client, experiment)
         for first, *_ in waiting.values():
             crew.submit(first)
         while crew.running:
             chunk, rows = crew.next()
-            for more in waiting.pop(chunk.arm, [])[1:]:
+            for more in waiting.pop(chunk.variant, [])[1:]:
                 crew.submit(more)
             yield chunk, rows
 
@@ -316,12 +316,16 @@ def _walk(experiment: Experiment, chunk: Chunk, cache: str | None, expected: dic
 
 
 _kinds: set[Any] = set()
-"""Kinds of arms that this worker holds compiled functions for."""
+"""Kinds of variants that this worker holds compiled functions for."""
 
 
 def _make_room(experiment: Experiment, chunk: Chunk) -> None:
-    """Forget what is compiled for other kinds of arms, if it takes much memory; it is in JAX's compilation cache."""
-    kind = (jax.tree.structure(experiment.arms[chunk.arm]), experiment.durations[chunk.arm], experiment.lanes)
+    """Forget what is compiled for other kinds of variants, if it takes much memory; JAX's compilation cache has it."""
+    kind = (
+        jax.tree.structure(experiment.variants[chunk.variant]),
+        experiment.durations[chunk.variant],
+        experiment.lanes,
+    )
     if kind not in _kinds and peak_mib() > ROOM_MIB:
         _kinds.clear()
         jax.clear_caches()

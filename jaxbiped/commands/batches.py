@@ -14,7 +14,7 @@ from jaxbiped.batch import columns, progress, store, summary
 from jaxbiped.batch.experiment import MAX_BATCH
 from jaxbiped.batch.run import MAX_WORKERS
 from jaxbiped.checked import nearest
-from jaxbiped.commands.choices import landing_of, load_arm, reflex_of
+from jaxbiped.commands.choices import landing_of, load_variant, reflex_of
 from jaxbiped.commands.common import InputError, make_writable, require_folder, require_free, say, whole
 
 WORKERS_HELP = "Processes; 1 walks in this one. Default: one for each core, or for each GPU."
@@ -81,37 +81,37 @@ def numbers(argument: str, values: Iterable[float], unit: str, low: float, high:
     return found
 
 
-def landing_arms(
+def landing_variants(
     names: Iterable[str],
     allowed: tuple[str, ...],
     params: robot.RobotParams,
     gait: Any,
     allow_infeasible: bool = False,
 ) -> dict:
-    """Controllers with landing adaptation by the names of their arms, or by TOML files."""
+    """Controllers with landing adaptation by the names of their variants, or by TOML files."""
 
     def make(name: str) -> adapt.Controller:
         return adapt.Controller(gait, landing=landing_of(name))
 
-    return _arms(names, allowed, params, gait, allow_infeasible, make)
+    return _variants(names, allowed, params, gait, allow_infeasible, make)
 
 
-def reflex_arms(
+def reflex_variants(
     names: Iterable[str],
     allowed: tuple[str, ...],
     params: robot.RobotParams,
     gait: Any,
     allow_infeasible: bool = False,
 ) -> dict:
-    """Controllers with a payload reflex by the names of their arms, or by TOML files."""
+    """Controllers with a payload reflex by the names of their variants, or by TOML files."""
 
     def make(name: str) -> adapt.Controller:
         return adapt.Controller(gait, payload=reflex_of(name, params, gait))
 
-    return _arms(names, allowed, params, gait, allow_infeasible, make)
+    return _variants(names, allowed, params, gait, allow_infeasible, make)
 
 
-def _arms(
+def _variants(
     names: Iterable[str],
     allowed: tuple[str, ...],
     params: Any,
@@ -122,18 +122,18 @@ def _arms(
     found: dict[str, adapt.Controller] = {}
     for name in names:
         if name in found:
-            raise InputError(f"--arm: got '{name}' twice, allowed: each once")
+            raise InputError(f"--variant: got '{name}' twice, allowed: each once")
         if name.endswith(".toml"):
-            found[name] = load_arm("--arm", Path(name), params, gait, allow_infeasible)
+            found[name] = load_variant("--variant", Path(name), params, gait, allow_infeasible)
         elif name in allowed:
             found[name] = make(name)
         else:
             raise InputError(
-                f"--arm: got '{name}', allowed: {', '.join(allowed)}, or a file that ends in .toml"
+                f"--variant: got '{name}', allowed: {', '.join(allowed)}, or a file that ends in .toml"
                 f"{nearest(name, allowed)}"
             )
     if not found:
-        raise InputError(f"--arm: got none, allowed: {', '.join(allowed)}, or a file that ends in .toml")
+        raise InputError(f"--variant: got none, allowed: {', '.join(allowed)}, or a file that ends in .toml")
     return found
 
 
@@ -191,8 +191,9 @@ def dry_run(experiment: batch.Experiment, command: Command, figures: Iterable[st
     except ValueError as error:
         raise InputError(_as_argument(str(error))) from None
     print(
-        f"{plan.walks} walks: {plan.scenarios} scenarios with each of {plan.arms} arms, {plan.simulated_s:,.0f} s "
-        f"of walking\n{plan.chunks} chunks of {plan.lanes} walks, {plan.chunks_done} done already; "
+        f"{plan.walks} walks: {plan.scenarios} scenarios with each of {plan.variants} variants, "
+        f"{plan.simulated_s:,.0f} s of walking\n{plan.chunks} chunks of {plan.lanes} walks, "
+        f"{plan.chunks_done} done already; "
         f"{plan.workers} {'worker' if plan.workers == 1 else 'workers'} of about "
         f"{plan.memory_per_worker_MiB:,.0f} MiB; about {progress.duration(plan.wall_time_s)}"
         + "".join(f"\ndamaged, to be set aside and made again: {file}" for file in plan.damaged)
@@ -201,13 +202,13 @@ def dry_run(experiment: batch.Experiment, command: Command, figures: Iterable[st
 
 
 def rates(table: pl.DataFrame) -> list[str]:
-    """Success of every arm in words, with its 95 % interval, and against the first arm."""
-    lines, names = [], summary.arms(table)
+    """Success of every variant in words, with its 95 % interval, and against the first variant."""
+    lines, names = [], summary.variants(table)
     late = table.filter(pl.col("success") & pl.col("status").is_in(columns.FAILED))
     for row in summary.cells(table).iter_rows(named=True):
-        fell = late.filter(pl.col("arm") == row["arm"]).height
+        fell = late.filter(pl.col("variant") == row["variant"]).height
         lines.append(
-            f"{row['arm']}: {row['successes']} of {row['n']} succeed ({row['rate']:.1%}, 95 % interval "
+            f"{row['variant']}: {row['successes']} of {row['n']} succeed ({row['rate']:.1%}, 95 % interval "
             f"{row['low']:.1%} to {row['high']:.1%})"
             + (f"; {fell} of them {'falls' if fell == 1 else 'fall'} after that" if fell else "")
         )

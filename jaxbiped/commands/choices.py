@@ -1,4 +1,4 @@
-"""What names on the command line stand for: gaits, simulations, arms of adaptation."""
+"""What names on the command line stand for: gaits, simulations, variants of adaptation."""
 
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ STAGES: dict[str, dict[str, checked.Field]] = {
     "landing": {"base": Word(LANDINGS), **landing.PARAMETERS},
     "payload": {"base": Word(REFLEXES), **payload.PARAMETERS},
 }
-"""What the tables of the stages in the file of an arm may hold."""
+"""What the tables of the stages in the file of a variant may hold."""
 
 
 def gait_name(given: str | None, params: robot.RobotParams) -> str:
@@ -101,21 +101,21 @@ def clock_start(gait: Any) -> float:
 
 
 def landing_of(name: str, **parameters: Any) -> adapt.Landing | None:
-    """Parameters of the landing stage by the name of its arm."""
+    """Parameters of the landing stage by the name of its variant."""
     return None if name == OFF else getattr(adapt.Landing, name)(**parameters)
 
 
 def reflex_of(
     name: str, params: robot.RobotParams, gait: Any, **parameters: Any
 ) -> adapt.PayloadReflex | None:
-    """Parameters of the payload stage by the name of its arm."""
+    """Parameters of the payload stage by the name of its variant."""
     return None if name == OFF else getattr(adapt.PayloadReflex, name)(params, gait, **parameters)
 
 
-def arm_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
-    """The tables [landing], [payload] and [gait] of the TOML file of an arm, those that it has.
+def variant_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
+    """The tables [landing], [payload] and [gait] of the TOML file of a variant, those that it has.
 
-    The first two have `base`, the name of an arm, and any of the parameters of that stage; the last one parameters of
+    The first two have `base`, the name of a variant, and any of the parameters of that stage; the last one those of
     the gait, those of its start and stop as `start_stop.x_s_first`, and `allow_infeasible = true` if its plan may break
     a constraint. The table [origin], where the numbers came from, may hold anything and is not read.
 
@@ -151,10 +151,10 @@ def arm_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
     return tables
 
 
-def load_arm(
+def load_variant(
     argument: str, path: Path, params: robot.RobotParams, gait: Any, allow_infeasible: bool = False
 ) -> adapt.Controller:
-    """A controller from the TOML file of an arm; stages that have no table are off.
+    """A controller from the TOML file of a variant; stages that have no table are off.
 
     Args:
         argument: what to name in a refusal.
@@ -166,7 +166,7 @@ def load_arm(
     Raises:
         InputError: if the file cannot be read or says what cannot be meant.
     """
-    tables = arm_tables(argument, path)
+    tables = variant_tables(argument, path)
     own, reflex = ({"base": OFF, **tables.get(name, {})} for name in STAGES)
     try:
         gait = _other_gait(tables.get("gait", {}), params, gait, allow_infeasible)

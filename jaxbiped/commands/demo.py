@@ -56,7 +56,7 @@ TRACE_DT = 0.01
 """Between two samples of a drawn trace [s]."""
 
 
-RECOVERY = {"arm": "modified", "load_kg": 15.0, "time_s": 1.2}
+RECOVERY = {"variant": "modified", "load_kg": 15.0, "time_s": 1.2}
 """The walk under a load that is drawn."""
 
 
@@ -160,9 +160,9 @@ def _recovery(command: Demo) -> dict[str, Any]:
     """One row of the grid of loads again, with its figures."""
     out = command.out
     experiment, table = batch.open_table(out / "payload")
-    start = clock_start(next(iter(experiment.arms.values())).gait)
+    start = clock_start(next(iter(experiment.variants.values())).gait)
     wanted = (
-        (pl.col("arm") == RECOVERY["arm"])
+        (pl.col("variant") == RECOVERY["variant"])
         & (pl.col("load_kg") == RECOVERY["load_kg"])
         & ((pl.col("load_time_s") - start - RECOVERY["time_s"]).abs() < 1e-6)
     )

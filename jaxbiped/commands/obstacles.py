@@ -1,4 +1,4 @@
-"""`jaxbiped obstacles`: obstacles and holes of every height under one step, with every arm of the landing."""
+"""`jaxbiped obstacles`: obstacles and holes of every height under one step, with every variant of the landing."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,18 +16,18 @@ FIGURES = ("obstacles.png",)
 DEEPEST, HIGHEST = -0.2, 0.2
 """Of pads [m]."""
 HEIGHTS_HELP = "Heights of the pad in m, negative for a hole. Example: 0.02 -0.02"
-ARM_HELP = "Arms of the landing adaptation: off, paper, repaired, or files of tuned arms (.toml)."
+VARIANT_HELP = "Variants of the landing adaptation: off, paper, repaired, or files of tuned variants (.toml)."
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Walk over a pad or a hole that the robot does not know of, of every height, with every arm."""
+    """Walk over a pad or a hole that the robot does not know of, of every height, with every variant."""
 
     robot: str = "surena3"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
     gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
     """Default: the gait of the robot's own paper."""
-    arm: Annotated[tuple[str, ...], arg(help=ARM_HELP)] = LANDINGS
+    variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = LANDINGS
     heights: Annotated[tuple[float, ...], arg(help=HEIGHTS_HELP)] = tuple(0.01 * cm for cm in range(-5, 6))
     step: tuple[int, ...] = (4,)
     """Steps under whose footholds the pads are, 0 for the first; each has a pad of the same height."""
@@ -76,17 +76,17 @@ def set_up(command: Obstacles) -> batch.Experiment:
             raise InputError(
                 f"--step: got {step}, allowed: 0 to {command.steps - 1} with --steps {command.steps}"
             )
-    arms = batches.landing_arms(command.arm, LANDINGS, params, gait, allow)
+    variants = batches.landing_variants(command.variant, LANDINGS, params, gait, allow)
     scenarios = pl.DataFrame({batch.height_column(step): heights for step in command.step})
     options = simulation_options(params, gait)
-    return batches.experiment(params, arms, scenarios, options, seed=command.seed, batch=command.batch)
+    return batches.experiment(params, variants, scenarios, options, seed=command.seed, batch=command.batch)
 
 
 def cells(table: pl.DataFrame, step: int) -> list[dict[str, Any]]:
     """One object for every walk."""
     return [
         {
-            "arm": row["arm"],
+            "variant": row["variant"],
             "height_m": row[batch.height_column(step)],
             "success": row["success"],
             "status": row["status"],
@@ -105,10 +105,10 @@ def peak_force(row: dict[str, Any]) -> float:
 
 
 def _lines(table: pl.DataFrame, step: int) -> list[str]:
-    by_arm = {walks["arm"][0]: walks for walks in table.partition_by("arm", maintain_order=True)}
-    lines = [f"{'height':>8}  " + "".join(f"{arm:<18}" for arm in by_arm)]
-    for i, height in enumerate(next(iter(by_arm.values()))[batch.height_column(step)]):
-        rows = [walks.row(i, named=True) for walks in by_arm.values()]
+    by_variant = {walks["variant"][0]: walks for walks in table.partition_by("variant", maintain_order=True)}
+    lines = [f"{'height':>8}  " + "".join(f"{variant:<18}" for variant in by_variant)]
+    for i, height in enumerate(next(iter(by_variant.values()))[batch.height_column(step)]):
+        rows = [walks.row(i, named=True) for walks in by_variant.values()]
         words = [
             f"{peak_force(r):,.0f} N" if r["success"] else f"{r['status']} {r['end_time_s']:.1f} s"
             for r in rows

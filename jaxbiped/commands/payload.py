@@ -1,4 +1,4 @@
-"""`jaxbiped payload`: loads by loading times, with every arm of the reflex; the thesis' tables in the small."""
+"""`jaxbiped payload`: loads by loading times, with every variant of the reflex; the thesis' tables in the small."""
 
 import math
 from dataclasses import dataclass
@@ -32,18 +32,20 @@ TIMES_HELP = (
     "When it is put on, in s on the gait's own clock: the thesis' time, which begins T_ini after the start, "
     "for the cosine gait; since the start of the walk for the polynomial one."
 )
-ARM_HELP = "Arms of the payload reflex: off, original, modified, repaired, or files of tuned arms (.toml)."
+VARIANT_HELP = (
+    "Variants of the payload reflex: off, original, modified, repaired, or files of tuned variants (.toml)."
+)
 
 
 @dataclass(frozen=True)
 class Payload:
-    """Put loads on a walking robot that does not know of them: every load at every time, with every arm."""
+    """Put loads on a walking robot that does not know of them: every load at every time, with every variant."""
 
     robot: str = "elkahlout"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
     gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
     """Default: the gait of the robot's own paper."""
-    arm: Annotated[tuple[str, ...], arg(help=ARM_HELP)] = ("off", "original", "modified")
+    variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = ("off", "original", "modified")
     loads: Annotated[tuple[float, ...], arg(help=LOADS_HELP)] = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
     times: Annotated[tuple[float, ...], arg(help=TIMES_HELP)] = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4)
     friction: float | None = None
@@ -96,14 +98,14 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
         raise InputError(
             f"--times: got {max(times):g} s, allowed: up to {float(gait.duration) - start:.4g} s with {steps} steps"
         )
-    arms = batches.reflex_arms(command.arm, REFLEXES, params, gait, command.allow_infeasible)
+    variants = batches.reflex_variants(command.variant, REFLEXES, params, gait, command.allow_infeasible)
     options: sim.Options = simulation_options(params, gait)
     friction = floor_friction(params, gait) if command.friction is None else command.friction
     (friction,) = batches.numbers(
         "--friction", (friction,), "", RANGES["friction"].low, RANGES["friction"].high
     )
     scenarios = batch.grid(load_kg=loads, load_time_s=[start + time for time in times], friction=[friction])
-    made = batches.experiment(params, arms, scenarios, options, seed=command.seed, batch=command.batch)
+    made = batches.experiment(params, variants, scenarios, options, seed=command.seed, batch=command.batch)
     return made, start
 
 
@@ -111,7 +113,7 @@ def cells(table: pl.DataFrame, start: float) -> list[dict[str, Any]]:
     """One object for every walk; times on the gait's own clock."""
     return [
         {
-            "arm": row["arm"],
+            "variant": row["variant"],
             "load_kg": row["load_kg"],
             "time_s": round(row["load_time_s"] - start, 6),
             "success": row["success"],
@@ -126,8 +128,8 @@ def cells(table: pl.DataFrame, start: float) -> list[dict[str, Any]]:
 def _ticks(table: pl.DataFrame, start: float) -> list[str]:
     from jaxbiped.report import tables
 
-    by_arm = table.partition_by("arm", maintain_order=True)
-    return [tables.tick_table(walks, start) for walks in by_arm if (walks["load_kg"] > 0.0).any()]
+    by_variant = table.partition_by("variant", maintain_order=True)
+    return [tables.tick_table(walks, start) for walks in by_variant if (walks["load_kg"] > 0.0).any()]
 
 
 def _draw(table: pl.DataFrame, name: str, start: float) -> dict[str, Any]:

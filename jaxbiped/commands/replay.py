@@ -21,7 +21,7 @@ from jaxbiped.commands.common import (
     say,
     whole,
 )
-from jaxbiped.commands.walk_input import TRACE_DT, Arms, Load, Obstacle, Setup
+from jaxbiped.commands.walk_input import TRACE_DT, Load, Obstacle, Setup, Variants
 
 TOLERANCE = {"_s": 0.05, "_deg": 0.5, "_N": 60.0, "_Ns": 3.0, "_m": 5e-3}
 """By how much a number of one walk may differ from its table's, where the walk was one of many [of the unit]: float32
@@ -79,7 +79,7 @@ def run(command: Replay) -> dict[str, Any]:
 
 def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
     """One row as a walk of its own."""
-    controller = experiment.arms[row["arm"]]
+    controller = experiment.variants[row["variant"]]
     chosen = experiment.table[row["scenario"]]
     batched = batch.scenarios_of(chosen, experiment.pads)
     scenario: sim.Scenario = jax.tree.map(lambda leaf: leaf[0], batched)
@@ -88,18 +88,18 @@ def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
     end = row.get("load_end_s", batch.NEVER)  # of a table of version 0.1: no such input yet
     loaded = row["load_kg"] > 0.0 and row["load_time_s"] < batch.NEVER
     stages = ((controller.landing, "off"), (controller.payload, "off"))
-    names = [off if stage is None else row["arm"] for stage, off in stages]
+    names = [off if stage is None else row["variant"] for stage, off in stages]
     return Setup(
         robot=experiment.robot,
         gait=controller.gait,
         gait_name="cosine" if isinstance(controller.gait, planner.CosineGait) else "polynomial",
         obstacles=[Obstacle(step, height) for step, height in heights.items() if height],
         load=Load(row["load_kg"], row["load_time_s"], end if end < batch.NEVER else None) if loaded else None,
-        arms=Arms(landing=names[0], reflex=names[1]),
+        variants=Variants(landing=names[0], reflex=names[1]),
         controller=controller,
         scenario=scenario,
         options=replace(options, trace_every=max(1, round(TRACE_DT / options.control_dt))),
-        duration=experiment.durations[row["arm"]],
+        duration=experiment.durations[row["variant"]],
     )
 
 

@@ -62,14 +62,14 @@ def run(command: Report) -> dict[str, Any]:
         page.write_page(out, f"{experiment.robot.name}: {table.height} walks", sections, key)
     agreed = overview.agreements(experiment, table)
     print(
-        "\n".join(overview.agreement_in_words(arm, one) for arm, one in agreed.items()),
+        "\n".join(overview.agreement_in_words(variant, one) for variant, one in agreed.items()),
         end="\n" if agreed else "",
     )
     print(f"page in {out}")
     return {
         "page": str(out),
-        "arms": summary.cells(table).to_dicts(),
-        "agreement": {arm: [one.agree, one.compared] for arm, one in agreed.items()},
+        "variants": summary.cells(table).to_dicts(),
+        "agreement": {variant: [one.agree, one.compared] for variant, one in agreed.items()},
     }
 
 

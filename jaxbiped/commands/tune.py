@@ -1,4 +1,4 @@
-"""`jaxbiped tune`: tune an arm's few numbers by gradients, or only say how far the gradients can be trusted."""
+"""`jaxbiped tune`: tune a variant's few numbers by gradients, or only say how far the gradients can be trusted."""
 
 import importlib.util
 from collections.abc import Mapping
@@ -23,15 +23,15 @@ from jaxbiped.commands.choices import (
     OFF,
     REFLEXES,
     REPAIRED,
-    arm_tables,
     clock_start,
     floor_friction,
     gait_name,
     landing_of,
-    load_arm,
+    load_variant,
     make_gait,
     reflex_of,
     simulation_options,
+    variant_tables,
 )
 from jaxbiped.commands.common import (
     OVERWRITE_HELP,
@@ -58,28 +58,28 @@ HIGHEST = 0.04
 STEPS = {"payload": 4, "landing": 6}
 HORIZON = 10.0
 """Of the walks whose gradient is taken [s]."""
-ARM_FILE = "tuned.toml"
-FILES = (ARM_FILE, "loss.png", "values.png")
+VARIANT_FILE = "tuned.toml"
+FILES = (VARIANT_FILE, "loss.png", "values.png")
 MAX_COUNT = 100_000
 HELD_OUT_SEED = 1000
 """How far the seed of the held-out scenarios is from that of the others."""
 Tables = Mapping[str, Mapping[str, Any]]
-"""Of the file of an arm."""
+"""Of the file of a variant."""
 PAD_STEP = 2
 """Step under which the pads are."""
 
 
 @dataclass(frozen=True)
 class Tune:
-    """Tune the few numbers of an adaptation by gradients over random scenarios; writes an arm that commands accept."""
+    """Tune the few numbers of an adaptation by gradients over random scenarios; writes the file of a variant."""
 
     robot: str = "elkahlout"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
     gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
     """Default: the gait of the robot's own paper."""
     what: Annotated[tuple[str, ...], arg(help=WHAT_HELP)] = ("payload",)
-    arm: Annotated[str | None, arg(metavar="original|modified|paper|repaired|FILE")] = None
-    """The arm to start from: its name, or its file (.toml). Default: modified for payloads, repaired for landing."""
+    variant: Annotated[str | None, arg(metavar="original|modified|paper|repaired|FILE")] = None
+    """The variant to start from, by name or file (.toml). Default: modified for payloads, repaired for landing."""
     allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     scenarios: int = 64
     """Random scenarios to tune on; as many others are held out."""
@@ -97,7 +97,7 @@ class Tune:
     seed: int = 0
     """Of the scenarios and of the descent."""
     out: Path = Path("runs/tune")
-    """Folder of the arm, the figures and the state; a descent that was stopped goes on."""
+    """Folder of the variant, the figures and the state; a descent that was stopped goes on."""
     overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
@@ -126,9 +126,9 @@ def check(command: Tune) -> None:
         batches.numbers("--duration", [command.duration], "s", 0.1, 3600.0)
     params = load_robot("--robot", command.robot)
     require_names(command.what, gait_name(command.gait, params))
-    if command.arm is not None and not command.arm.endswith(".toml"):
+    if command.variant is not None and not command.variant.endswith(".toml"):
         for stage in _stages(command):
-            _require_base(command.arm, stage)
+            _require_base(command.variant, stage)
     if not command.trust_only:
         require_folder(command.out)
         require_free(command.out, FILES, (command.out / STATE).exists(), command.overwrite)
@@ -159,24 +159,24 @@ def _stages(command: Tune) -> set[str]:
 def _require_base(name: str, stage: str) -> None:
     if name not in BASES[stage]:
         raise InputError(
-            f"--arm: got '{name}', allowed: {', '.join(BASES[stage])} for {stage}, or a file that ends in .toml"
+            f"--variant: got '{name}', allowed: {', '.join(BASES[stage])} for {stage}, or a file that ends in .toml"
             f"{nearest(name, BASES[stage])}"
         )
 
 
 def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
-    """The problem, the scenarios held out, and the tables of the arm it starts from."""
+    """The problem, the scenarios held out, and the tables of the variant it starts from."""
     params = load_robot("--robot", command.robot)
     stages = _stages(command)
     steps = max(STEPS[s] for s in stages)
     gait = make_gait(params, gait_name(command.gait, params), steps, command.allow_infeasible)
-    start, arm = _start(command, params, gait, stages)
+    start, variant = _start(command, params, gait, stages)
     made = [
         batches.experiment(
             params,
-            {command.arm or "tuned": arm},
-            _scenarios(command, params, arm.gait, stages, command.seed + HELD_OUT_SEED * held),
-            simulation_options(params, arm.gait),
+            {command.variant or "tuned": variant},
+            _scenarios(command, params, variant.gait, stages, command.seed + HELD_OUT_SEED * held),
+            simulation_options(params, variant.gait),
             duration=horizon if command.duration is None else command.duration,
             seed=command.seed,
         )
@@ -189,21 +189,21 @@ def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
 
 
 def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tables, adapt.Controller]:
-    """The arm it starts from: its tables and the controller."""
-    if command.arm and command.arm.endswith(".toml"):
-        path = Path(command.arm)
-        arm = load_arm("--arm", path, params, gait, command.allow_infeasible)
-        return arm_tables("--arm", path), arm
+    """The variant it starts from: its tables and the controller."""
+    if command.variant and command.variant.endswith(".toml"):
+        path = Path(command.variant)
+        variant = load_variant("--variant", path, params, gait, command.allow_infeasible)
+        return variant_tables("--variant", path), variant
     defaults = {"payload": MODIFIED, "landing": REPAIRED}
-    base = {stage: command.arm or defaults[stage] for stage in stages}
+    base = {stage: command.variant or defaults[stage] for stage in stages}
     for stage, name in base.items():
         _require_base(name, stage)
-    arm = adapt.Controller(
+    variant = adapt.Controller(
         gait,
         landing=landing_of(base.get("landing", OFF)),
         payload=reflex_of(base.get("payload", OFF), params, gait),
     )
-    return {stage: {"base": name} for stage, name in base.items()}, arm
+    return {stage: {"base": name} for stage, name in base.items()}, variant
 
 
 def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: int) -> Any:
@@ -235,16 +235,24 @@ def _descend(
 ) -> dict[str, Any]:
     settings = tune.Settings(steps=command.steps, scenarios=command.batch, seed=command.seed)
     made_by = f"jaxbiped tune --robot {command.robot} --what {' '.join(command.what)}"
-    made_by += f" --arm {command.arm}" if command.arm else ""
+    made_by += f" --variant {command.variant}" if command.variant else ""
     make_writable(command.out)
     try:
         tuned, files = descend(problem, held_out, settings, start, command.out, made_by, command.overwrite)
     except ValueError as error:
         raise InputError(f"--{error}") from None
-    path = command.out / ARM_FILE
-    print(f"{path} is an arm: jaxbiped {'payload' if 'payload' in start else 'obstacles'} --arm {path}")
+    path = command.out / VARIANT_FILE
+    print(
+        f"{path} is a variant: jaxbiped {'payload' if 'payload' in start else 'obstacles'} --variant {path}"
+    )
     values = {t.name: float(v) for t, v in zip(problem.tunables, tuned.values, strict=True)}
-    return {"tuned": values, "before": tuned.before, "after": tuned.after, "arm": str(path), "files": files}
+    return {
+        "tuned": values,
+        "before": tuned.before,
+        "after": tuned.after,
+        "variant": str(path),
+        "files": files,
+    }
 
 
 def descend(
@@ -256,21 +264,21 @@ def descend(
     made_by: str,
     overwrite: bool = False,
 ) -> tuple[tune.Tuned, list[str]]:
-    """Tune, or go on where it was stopped; the arm and its figures stand in `out`.
+    """Tune, or go on where it was stopped; the variant and its figures stand in `out`.
 
     Args:
         problem: what is tuned, on which scenarios.
         held_out: scenarios that no step sees.
         settings: how.
-        start: tables of the arm it starts from, see `tune.arm_file`.
+        start: tables of the variant it starts from, see `tune.variant_file`.
         out: folder.
-        made_by: command, for the arm's file.
+        made_by: command, for the variant's file.
         overwrite: drop the state of another descent in the folder.
     """
     with batch.waiting("compiling, or a step under way", redraw=False):
         tuned = tune.tune(problem, held_out, out, settings, lambda line: print(line, flush=True), overwrite)
-    _keep_before(out / ARM_FILE, text := tune.arm_file(tuned, start, made_by))
-    write(out / ARM_FILE, text)
+    _keep_before(out / VARIANT_FILE, text := tune.variant_file(tuned, start, made_by))
+    write(out / VARIANT_FILE, text)
     files = draw(lambda _: _draw(tuned, problem.experiment.robot.name), out)
     print(
         f"held out: loss {tuned.before['loss']:.4f} -> {tuned.after['loss']:.4f}, success "
@@ -293,7 +301,7 @@ def _draw(tuned: tune.Tuned, name: str) -> dict[str, Any]:
 
 
 def _keep_before(file: Path, text: str) -> None:
-    """An arm that stands there and is another one, by more steps or by hand, is kept under another name."""
+    """A variant that stands there and is another one, by more steps or by hand, is kept under another name."""
     if files.is_file(file) and file.read_text(encoding="utf-8", errors="replace") != text:
         with refusing(file, "a file that may be renamed"):
             say(f"'{file}' was another one: kept as '{files.set_aside(file, 'before').name}'")

@@ -29,7 +29,7 @@ from jaxbiped.commands.common import (
     targets_at,
     write,
 )
-from jaxbiped.commands.walk_input import ARMS, Setup, set_up
+from jaxbiped.commands.walk_input import VARIANTS, Setup, set_up
 from jaxbiped.report import traces
 
 NUMBERS, MOVIE = "walk.json", "walk.gif"
@@ -63,10 +63,10 @@ PAYLOAD_HELP = (
     "One load put on the trunk: mass in kg, and time in s since the start of the walk; the time of the cosine gait's "
     "thesis begins T_ini later. Example: 15@2.4"
 )
-ARM_HELP = (
+VARIANT_HELP = (
     "Which adaptation is on. Landing: paper (to the letter) or repaired. Payload reflex: original (settles 2 s), "
     "modified (settles 4 s) or repaired. 'repaired' is for every stage that no other word is for; a stage without a "
-    "word is off. Or the file of an arm (.toml), by itself. Default: landing repaired if there are obstacles, reflex "
+    "word is off. Or the file of a variant (.toml), alone. Default: landing repaired if there are obstacles, reflex "
     "modified if there is a payload."
 )
 
@@ -82,7 +82,9 @@ class Walk:
     gait: Annotated[str | None, arg(metavar="polynomial|cosine", help=GAIT_HELP)] = None
     obstacle: Annotated[Words, UseAppendAction, arg(metavar="STEP:HEIGHT ...", help=OBSTACLE_HELP)] = ()
     payload: Annotated[Words, UseAppendAction, arg(metavar="MASS@TIME", help=PAYLOAD_HELP)] = ()
-    arm: Annotated[Words, UseAppendAction, arg(metavar="|".join(ARMS) + " ...", help=ARM_HELP)] = ()
+    variant: Annotated[
+        Words, UseAppendAction, arg(metavar="|".join(VARIANTS) + " ...", help=VARIANT_HELP)
+    ] = ()
     allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     out: Path = Path("runs/walk")
     """Folder of walk.json and the figures; made if it is missing."""
@@ -107,11 +109,11 @@ class Told:
 def run(command: Walk) -> dict[str, Any]:
     """Carry out the command; returns what --json prints."""
     out, obstacles = command.out, _flat("--obstacle", command.obstacle)
-    payload, arms = _flat("--payload", command.payload), _flat("--arm", command.arm)
+    payload, variants = _flat("--payload", command.payload), _flat("--variant", command.variant)
     require_folder(out)
     with batch.waiting("planning"):
         allow = command.allow_infeasible
-        setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, arms, allow)
+        setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, variants, allow)
     claim(setup, out, command.overwrite)
     result = tell(setup, simulate(setup), out)
     print(f"{NUMBERS} and {len(result['files'])} figures in {out}")
@@ -192,7 +194,7 @@ def _result(told: Told) -> dict[str, Any]:
         "planned_s": round(float(setup.gait.duration), 4),
         "constraints_broken": broken(setup.robot, setup.gait),
         "simulated_s": round(setup.duration, 4),
-        "arm": asdict(setup.arms),
+        "variant": asdict(setup.variants),
         "obstacles": [{"step": pad.step, "height_m": pad.height} for pad in setup.obstacles],
         "payload": load,
         "thesis_time_starts_s": start,

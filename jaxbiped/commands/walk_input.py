@@ -17,7 +17,7 @@ from jaxbiped.commands.choices import (
     REPAIRED,
     floor_friction,
     landing_of,
-    load_arm,
+    load_variant,
     make_gait,
     reflex_of,
     simulation_options,
@@ -28,8 +28,8 @@ from jaxbiped.commands.choices import (
 from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears
 
-ARMS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
-REFLEX_ARMS = (ORIGINAL, MODIFIED)
+VARIANTS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
+REFLEX_VARIANTS = (ORIGINAL, MODIFIED)
 DEEPEST = RANGES["height_m"].low
 """Of a hole [m]."""
 TRACE_DT = 2e-3
@@ -58,13 +58,13 @@ class Load:
 
 
 @dataclass(frozen=True)
-class Arms:
+class Variants:
     """Which version of each stage of adaptation is on."""
 
     landing: str
-    """off, paper, repaired, or the file of an arm."""
+    """off, paper, repaired, or the file of a variant."""
     reflex: str
-    """off, original, modified, repaired, or the file of an arm."""
+    """off, original, modified, repaired, or the file of a variant."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Setup:
     gait_name: str
     obstacles: list[Obstacle]
     load: Load | None
-    arms: Arms
+    variants: Variants
     controller: adapt.Controller
     scenario: sim.Scenario
     options: sim.Options
@@ -90,7 +90,7 @@ def set_up(
     gait_name: str | None,
     obstacles: Iterable[str],
     payload: Iterable[str],
-    arms: Iterable[str],
+    variants: Iterable[str],
     allow_infeasible: bool = False,
 ) -> Setup:
     """Read the arguments of `jaxbiped walk`.
@@ -100,18 +100,18 @@ def set_up(
     """
     params = load_robot("--robot", robot_name)
     gait_name = name_of_gait(gait_name, params)
-    gait, words = make_gait(params, gait_name, steps, allow_infeasible), list(arms)
+    gait, words = make_gait(params, gait_name, steps, allow_infeasible), list(variants)
     of_file = _of_file(words, params, gait, allow_infeasible)
     gait = gait if of_file is None else of_file.gait
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
     if of_file is None:
-        chosen = _arms(words, bool(pads), load is not None)
+        chosen = _variants(words, bool(pads), load is not None)
         controller = adapt.Controller(
             gait, landing=landing_of(chosen.landing), payload=reflex_of(chosen.reflex, params, gait)
         )
     else:
         controller, stages = of_file, (of_file.landing, of_file.payload)
-        chosen = Arms(*(OFF if stage is None else words[0] for stage in stages))
+        chosen = Variants(*(OFF if stage is None else words[0] for stage in stages))
     options = simulation_options(params, gait)
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     return Setup(
@@ -120,7 +120,7 @@ def set_up(
         gait_name=gait_name,
         obstacles=pads,
         load=load,
-        arms=chosen,
+        variants=chosen,
         controller=controller,
         scenario=_scenario(params, gait, pads, load),
         options=options,
@@ -195,36 +195,36 @@ def _load(words: Iterable[str], gait: Any, params: robot.RobotParams) -> Load | 
 def _of_file(
     words: list[str], params: robot.RobotParams, gait: Any, allow_infeasible: bool
 ) -> adapt.Controller | None:
-    """The controller of an arm's file, with its own gait; None if the words name no file."""
+    """The controller of a variant's file, with its own gait; None if the words name no file."""
     if not any(word.endswith(".toml") for word in words):
         return None
     if len(words) > 1:
-        raise InputError(f"--arm: got {' '.join(words)}, allowed: a file (.toml) by itself")
-    return load_arm("--arm", Path(words[0]), params, gait, allow_infeasible)
+        raise InputError(f"--variant: got {' '.join(words)}, allowed: a file (.toml) by itself")
+    return load_variant("--variant", Path(words[0]), params, gait, allow_infeasible)
 
 
-def _arms(words: list[str], has_obstacles: bool, has_load: bool) -> Arms:
+def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants:
     """Without words: what the walk calls for. `repaired` stands for whichever stage no other word is for."""
     for word in words:
-        if word not in ARMS:
+        if word not in VARIANTS:
             raise InputError(
-                f"--arm: got '{word}', allowed: {', '.join(ARMS)}, or a file that ends in .toml"
-                f"{checked.nearest(word, ARMS)}"
+                f"--variant: got '{word}', allowed: {', '.join(VARIANTS)}, or a file that ends in .toml"
+                f"{checked.nearest(word, VARIANTS)}"
             )
     if not words:
-        return Arms(REPAIRED if has_obstacles else OFF, MODIFIED if has_load else OFF)
-    reflexes = [word for word in words if word in REFLEX_ARMS]
+        return Variants(REPAIRED if has_obstacles else OFF, MODIFIED if has_load else OFF)
+    reflexes = [word for word in words if word in REFLEX_VARIANTS]
     if len(set(words)) < len(words) or len(reflexes) > 1 or (OFF in words and len(words) > 1):
         raise InputError(
-            f"--arm: got {' '.join(words)}, allowed: off, or one for each stage: paper or repaired for landing, "
+            f"--variant: got {' '.join(words)}, allowed: off, or one for each stage: paper or repaired for landing, "
             "original, modified or repaired for the payload reflex"
         )
     if len(words) == 3:
         raise InputError(
-            f"--arm: got {' '.join(words)}, allowed: at most one word for each of the two stages"
+            f"--variant: got {' '.join(words)}, allowed: at most one word for each of the two stages"
         )
     otherwise = REPAIRED if REPAIRED in words else OFF
-    return Arms(PAPER if PAPER in words else otherwise, reflexes[0] if reflexes else otherwise)
+    return Variants(PAPER if PAPER in words else otherwise, reflexes[0] if reflexes else otherwise)
 
 
 def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:

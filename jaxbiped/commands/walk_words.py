@@ -30,7 +30,7 @@ def _what(r: dict[str, Any]) -> str:
         parts.append(f"obstacles {pads}")
     if r["payload"]:
         parts.append(_load(r, r["payload"]))
-    parts.append(f"landing adaptation {r['arm']['landing']}, payload reflex {r['arm']['reflex']}")
+    parts.append(f"landing adaptation {r['variant']['landing']}, payload reflex {r['variant']['reflex']}")
     return "; ".join(parts)
 
 
@@ -72,7 +72,7 @@ def _touch(t: dict[str, Any]) -> str:
 
 def _reflexes(r: dict[str, Any]) -> list[str]:
     if not r["reflexes"]:
-        felt_nothing = _weight_changes(r) and r["arm"]["reflex"] != "off"
+        felt_nothing = _weight_changes(r) and r["variant"]["reflex"] != "off"
         return ["no reflex: the load was not felt"] if felt_nothing else []
     return [_reflex(r, i, reflex) for i, reflex in enumerate(r["reflexes"])]
 

@@ -28,14 +28,14 @@ FEET = ("peak_force_left_N", "peak_force_right_N")
 MOST_VALUES, PARTS = 64, 16
 """An input with more values than the first is cut into so many equal parts before it is drawn."""
 MOST_CAUSES = 10
-"""Inputs shown per arm."""
-_ARM_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK, "#E69F00")
-_ARM_MARKERS = "osDvXP"
-_ARM_DASHES = ("-", "--", ":", "-.")
+"""Inputs shown per variant."""
+_VARIANT_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK, "#E69F00")
+_VARIANT_MARKERS = "osDvXP"
+_VARIANT_DASHES = ("-", "--", ":", "-.")
 _LINE_WIDTH, _MARKER_SIZE = 1.2, 4.5
-"""Of the arm in front [pt]."""
+"""Of the variant in front [pt]."""
 _WIDER, _LARGER = 1.3, 3.5
-"""How much wider the line and larger the marker of every arm is than those of the next one before it [pt]."""
+"""How much wider the line and larger the marker of every variant is than those of the next one before it [pt]."""
 _MOST_WIDER, _MOST_LARGER = 6.5, 16.0
 """Of the one behind all others, over the one in front [pt]."""
 _NOT_RUN_FILL = "#d9dce1"
@@ -57,7 +57,7 @@ def heat_map(
     value: str | None = None,
     offset_s: float | None = None,
 ) -> Figure:
-    """Draw the success rate, or the mean of a column, over two inputs: a panel per arm, a cell per pair of values.
+    """Draw the success rate, or the mean of a column, over two inputs: a panel per variant, a cell per pair of values.
 
     Cells are equally large whatever the steps between values; an input of more than MOST_VALUES values is cut into
     PARTS equal parts. Cells that were not run, or where the column has no finite value, are gray.
@@ -67,7 +67,7 @@ def heat_map(
         x: input along the horizontal axis.
         y: input along the vertical axis.
         title: heading of the figure.
-        marks: a table of the thesis, or one for every arm that has one: cells that differ from it are outlined. The
+        marks: a table of the thesis, or one for every variant that has one: cells that differ from it are outlined. The
             axes must be load_kg and load_time_s.
         value: column to draw instead of the success rate, such as peak_pitch_deg.
         offset_s: show load_time_s less this, on the thesis' clock [s]; needed for marks.
@@ -82,15 +82,15 @@ def heat_map(
     table = _on_thesis_clock(table, offset_s)
     x_label, y_label = (_clocked(name, offset_s) + _said_parted(table[name]) for name in (x, y))
     table = table.with_columns(_parted(table[x]), _parted(table[y]))
-    by_arm = {arm: table.filter(pl.col("arm") == arm) for arm in summary.arms(table)}
+    by_variant = {variant: table.filter(pl.col("variant") == variant) for variant in summary.variants(table)}
     sides = _Sides(x, y, *(table[name].unique().sort().to_list() for name in (x, y)))
-    figure, panels, width = _map_panels(len(by_arm), sides, title)
-    values = {arm: _map_values(walks, sides, value) for arm, walks in by_arm.items()}
+    figure, panels, width = _map_panels(len(by_variant), sides, title)
+    values = {variant: _map_values(walks, sides, value) for variant, walks in by_variant.items()}
     look = _map_colors(values.values(), value)
-    for (arm, walks), axes in zip(by_arm.items(), panels, strict=True):
-        axes.pcolormesh(values[arm], edgecolor="white", lw=0.4, **look)
-        _dress_map(axes, arm, sides, width)
-        printed = marks.get(arm) if isinstance(marks, Mapping) else marks
+    for (variant, walks), axes in zip(by_variant.items(), panels, strict=True):
+        axes.pcolormesh(values[variant], edgecolor="white", lw=0.4, **look)
+        _dress_map(axes, variant, sides, width)
+        printed = marks.get(variant) if isinstance(marks, Mapping) else marks
         if printed is not None:
             _outline(axes, walks, printed, sides)
     _label_map(panels, x_label, y_label)
@@ -106,7 +106,7 @@ def frontier_figure(
     by: str = "load_time_s",
     offset_s: float | None = None,
 ) -> Figure:
-    """Draw how far up an input can go (`summary.frontier`) over another: a panel per level, a curve per arm.
+    """Draw how far up an input can go (`summary.frontier`) over another: a panel per level, a curve per variant.
 
     Every point stands at its own values; of curves that coincide, the ones behind are wider and have larger markers.
     Where there is no limit, since the first value falls short already, a cross stands at the panel's lower edge. Bars
@@ -120,25 +120,27 @@ def frontier_figure(
         offset_s: show load_time_s less this, on the thesis' clock [s].
     """
     limits = _on_thesis_clock(limits, offset_s)
-    levels, names = limits["level"].unique(maintain_order=True).to_list(), summary.arms(limits)
+    levels, names = limits["level"].unique(maintain_order=True).to_list(), summary.variants(limits)
     figure, panels = _stack(len(levels), title, 1.2 + 2.6 * len(levels))
     quantity = shown(what)
     for level, axes in zip(levels, panels, strict=True):
-        for i, arm in enumerate(names):
+        for i, variant in enumerate(names):
             for way in limits["direction"].unique(maintain_order=True):
-                line = limits.filter(arm=arm, level=level, direction=way).sort(by)
-                _draw_limit(axes, line, what, by, _arm_style(i, len(names)))
+                line = limits.filter(variant=variant, level=level, direction=way).sort(by)
+                _draw_limit(axes, line, what, by, _variant_style(i, len(names)))
         heading = f"success rate of {100 * level:.3g} % and more; bars: 95 % interval of the limit"
         axes.set_title(heading, fontsize=10, color=INK, loc="left")
         axes.set_ylabel(f"limit:\n{quantity.label}")
         low, high = axes.get_ylim()
         low, room = min(low, 0.0), 0.06 * (high - min(low, 0.0))
         axes.set_ylim(low - 2.0 * room, high + room)
-        for i, arm in enumerate(names):
-            _draw_limit_bars(axes, limits.filter(arm=arm, level=level), what, by, _arm_style(i, len(names)))
+        for i, variant in enumerate(names):
+            _draw_limit_bars(
+                axes, limits.filter(variant=variant, level=level), what, by, _variant_style(i, len(names))
+            )
     if len(panels):
         panels[-1].set_xlabel(_clocked(by, offset_s))
-    handles = [_arm_handle(arm, i, len(names)) for i, arm in enumerate(names)]
+    handles = [_variant_handle(variant, i, len(names)) for i, variant in enumerate(names)]
     if limits["beyond"].any():
         handles.append(_handle("^", "held at every value tested"))
     if limits[what].null_count():
@@ -149,7 +151,7 @@ def frontier_figure(
 
 
 def causes_figure(found: pl.DataFrame, title: str) -> Figure:
-    """Draw how much each input tells about success (`summary.causes`): a panel per arm, a bar per input.
+    """Draw how much each input tells about success (`summary.causes`): a panel per variant, a bar per input.
 
     Beside a bar stand the success rates in the input's lowest and highest bin.
 
@@ -157,8 +159,8 @@ def causes_figure(found: pl.DataFrame, title: str) -> Figure:
         found: of `summary.causes`.
         title: heading of the figure.
     """
-    names = summary.arms(found)
-    kept = {arm: found.filter(pl.col("arm") == arm).head(MOST_CAUSES) for arm in names}
+    names = summary.variants(found)
+    kept = {variant: found.filter(pl.col("variant") == variant).head(MOST_CAUSES) for variant in names}
     heights = [0.9 + 0.27 * rows.height for rows in kept.values()]
     figure = _figure(title, (9.0, 0.8 + sum(heights)))
     panels = (
@@ -167,9 +169,9 @@ def causes_figure(found: pl.DataFrame, title: str) -> Figure:
         else []
     )
     most = max(found["information_bits"], default=0.0)
-    for i, (arm, axes) in enumerate(zip(names, panels, strict=True)):
-        _draw_causes(axes, kept[arm], _ARM_COLORS[i % len(_ARM_COLORS)])
-        axes.set_title(arm, fontsize=10, color=INK, loc="left")
+    for i, (variant, axes) in enumerate(zip(names, panels, strict=True)):
+        _draw_causes(axes, kept[variant], _VARIANT_COLORS[i % len(_VARIANT_COLORS)])
+        axes.set_title(variant, fontsize=10, color=INK, loc="left")
         axes.set_xlim(0.0, 1.3 * max(most, 1e-3))
     if len(panels):
         panels[-1].set_xlabel(
@@ -182,7 +184,7 @@ def cells_figure(table: pl.DataFrame, x: str, title: str, forces: Sequence[str] 
     """Draw success and foot force over one input: rates with Wilson's 95 % bars above, the larger foot's force below.
 
     The force is the mean over the walks at each value; its bars reach from the smallest to the largest. Every point
-    stands at its own value; of arms that coincide, the ones behind are wider and have larger markers.
+    stands at its own value; of variants that coincide, the ones behind are wider and have larger markers.
 
     Args:
         table: one row per walk.
@@ -193,26 +195,26 @@ def cells_figure(table: pl.DataFrame, x: str, title: str, forces: Sequence[str] 
     """
     table = summary.without_never(table, [x]).drop_nulls(x)
     largest = pl.max_horizontal(*forces)
-    quantity, names, parted = shown(x), summary.arms(table), _said_parted(table[x])
+    quantity, names, parted = shown(x), summary.variants(table), _said_parted(table[x])
     if parted:
         table = table.with_columns(pl.col(x).mean().over(_parted(table[x])))
     table = table.with_columns(largest=pl.when(largest.is_finite()).then(largest))
     rates = summary.cells(table, [x])
-    force = table.group_by("arm", x).agg(
+    force = table.group_by("variant", x).agg(
         mean=pl.col("largest").mean(), low=pl.col("largest").min(), high=pl.col("largest").max()
     )
     figure, panels = _stack(2, title, 6.4)
-    for i, arm in enumerate(names):
+    for i, variant in enumerate(names):
         for axes, cells, middle in ((panels[0], rates, "rate"), (panels[1], force, "mean")):
-            one = cells.filter(pl.col("arm") == arm).drop_nulls(middle).sort(x)
-            _draw_bars(axes, quantity.factor * one[x].to_numpy(), one, middle, _arm_style(i, len(names)))
+            one = cells.filter(pl.col("variant") == variant).drop_nulls(middle).sort(x)
+            _draw_bars(axes, quantity.factor * one[x].to_numpy(), one, middle, _variant_style(i, len(names)))
     panels[0].set_ylim(-0.07, 1.07)
     panels[0].set_ylabel("success rate [-]")
     panels[1].set_ylim(bottom=0.0)
     panels[1].set_ylabel("peak foot force [N]")
     panels[1].set_xlabel(quantity.label + parted)
     if names:
-        _legend_below(figure, [_arm_handle(arm, i, len(names)) for i, arm in enumerate(names)])
+        _legend_below(figure, [_variant_handle(variant, i, len(names)) for i, variant in enumerate(names)])
     figure.align_ylabels(panels)
     return figure
 
@@ -240,13 +242,13 @@ def _handle(marker: str, label: str) -> Line2D:
     return Line2D([], [], color=INK, ls="", marker=marker, markerfacecolor=fill, label=label)
 
 
-def _arm_style(i: int, n: int) -> dict[str, Any]:
-    """Of the i-th of n arms: each is drawn over the one before it, narrower, so that both show where they coincide."""
+def _variant_style(i: int, n: int) -> dict[str, Any]:
+    """Of the i-th of n variants: drawn over the one before it, narrower, so that both show where they coincide."""
     behind, steps = n - 1 - i, max(1, n - 1)
     return {
-        "color": _ARM_COLORS[i % len(_ARM_COLORS)],
-        "marker": _ARM_MARKERS[i % len(_ARM_MARKERS)],
-        "ls": _ARM_DASHES[i // len(_ARM_COLORS) % len(_ARM_DASHES)],
+        "color": _VARIANT_COLORS[i % len(_VARIANT_COLORS)],
+        "marker": _VARIANT_MARKERS[i % len(_VARIANT_MARKERS)],
+        "ls": _VARIANT_DASHES[i // len(_VARIANT_COLORS) % len(_VARIANT_DASHES)],
         "lw": _LINE_WIDTH + behind * min(_WIDER, _MOST_WIDER / steps),
         "ms": _MARKER_SIZE + behind * min(_LARGER, _MOST_LARGER / steps),
         "mfc": "none",
@@ -254,8 +256,8 @@ def _arm_style(i: int, n: int) -> dict[str, Any]:
     }
 
 
-def _arm_handle(arm: str, i: int, n: int) -> Line2D:
-    return Line2D([], [], label=arm, **_arm_style(i, n))
+def _variant_handle(variant: str, i: int, n: int) -> Line2D:
+    return Line2D([], [], label=variant, **_variant_style(i, n))
 
 
 def _legend_below(figure: Figure, handles: Sequence[Any]) -> None:
@@ -326,7 +328,7 @@ def _map_panels(n: int, sides: _Sides, title: str) -> tuple[Figure, Sequence[Axe
 
 
 def _map_values(walks: pl.DataFrame, sides: _Sides, value: str | None) -> np.ndarray:
-    """(rows, columns) of an arm's map, NaN where there is nothing to show."""
+    """(rows, columns) of a variant's map, NaN where there is nothing to show."""
     factor = 1.0 if value is None else shown(value).factor
     column = pl.col("success" if value is None else value).cast(pl.Float64)
     cells = walks.group_by(sides.x, sides.y).agg(column.filter(column.is_finite()).mean().alias("_value"))
@@ -354,10 +356,10 @@ def _color_bar(figure: Figure, panels: Sequence[Axes], label: str) -> None:
     bar.ax.spines[:].set_visible(False)
 
 
-def _dress_map(axes: Axes, arm: str, sides: _Sides, width: float) -> None:
+def _dress_map(axes: Axes, variant: str, sides: _Sides, width: float) -> None:
     """Ticks and frame of a panel of this width [inch]."""
     axes.set_facecolor(_NOT_RUN_FILL)
-    axes.set_title(arm, fontsize=10, color=INK, loc="left")
+    axes.set_title(variant, fontsize=10, color=INK, loc="left")
     columns, rows = _tick_texts(sides.across, sides.x), _tick_texts(sides.up, sides.y)
     axes.set_xticks(
         *_ticks(columns, lambda texts: sum(len(t) + 1.5 for t in texts) <= _LETTERS_PER_INCH * width)
@@ -415,7 +417,7 @@ def _map_legend(figure: Figure, values: Iterable[np.ndarray], marked: bool) -> N
 
 
 def _draw_limit(axes: Axes, line: pl.DataFrame, what: str, by: str, style: Mapping[str, Any]) -> None:
-    """One arm's limit one way."""
+    """One variant's limit one way."""
     places = shown(by).factor * line[by].cast(pl.Float64).to_numpy()
     limit = shown(what).factor * line[what].cast(pl.Float64).fill_null(math.nan).to_numpy()
     beyond, nothing = line["beyond"].to_numpy(), np.isnan(limit)

@@ -19,13 +19,13 @@ from jaxbiped.report import grids, quantities, tables
 from jaxbiped.report.page import Picture, Section
 
 THESIS = {"off": 1, "original": 2, "modified": 3}
-"""Which of the thesis' tables 4.1, 4.2, 4.3 an arm of the payload reflex answers to."""
+"""Which of the thesis' tables 4.1, 4.2, 4.3 a variant of the payload reflex answers to."""
 FEW = 64
 """Values of an input that make a grid; more are a random draw."""
 LISTED = 40
 """Failures that are listed."""
 SHOWN = (
-    *("row", "arm", "status", "success", "end_time_s"),
+    *("row", "variant", "status", "success", "end_time_s"),
     *("peak_roll_deg", "peak_pitch_deg", "zmp_margin_m"),
 )
 WENT_WRONG = {
@@ -67,7 +67,7 @@ def sections(
 
 def clock_start(experiment: Experiment) -> float:
     """When the clock of loading times starts, since the start of the walk [s]: T_ini for the cosine gait."""
-    gait = next(iter(experiment.arms.values())).gait
+    gait = next(iter(experiment.variants.values())).gait
     return float(gait.params.T_ini) if isinstance(gait, CosineGait) else 0.0
 
 
@@ -94,7 +94,7 @@ def is_thesis_experiment(experiment: Experiment) -> bool:
     """Whether the walks are the thesis' own: by the numbers of the robot, whatever its name, and the kind of gait."""
     ours, thesis = _numbers(experiment.robot), _numbers_of_the_thesis()
     same = len(ours) == len(thesis) and all(map(np.array_equal, ours, thesis))
-    return same and all(isinstance(arm.gait, CosineGait) for arm in experiment.arms.values())
+    return same and all(isinstance(variant.gait, CosineGait) for variant in experiment.variants.values())
 
 
 def _numbers(params: robot.RobotParams) -> list[np.ndarray]:
@@ -108,21 +108,21 @@ def _numbers_of_the_thesis() -> list[np.ndarray]:
 
 
 def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, tables.Agreement]:
-    """Of every arm that answers to a table of the thesis and has a walk: in how many cells both say the same."""
+    """Of every variant that answers to a table of the thesis and has a walk: in how many cells both say the same."""
     if not is_thesis_experiment(experiment):
         return {}
-    start, walked = clock_start(experiment), summary.arms(table)
+    start, walked = clock_start(experiment), summary.variants(table)
     return {
-        arm: tables.agreement(table.filter(pl.col("arm") == arm), number, start)
-        for arm, number in THESIS.items()
-        if arm in walked
+        variant: tables.agreement(table.filter(pl.col("variant") == variant), number, start)
+        for variant, number in THESIS.items()
+        if variant in walked
     }
 
 
-def agreement_in_words(arm: str, one: tables.Agreement) -> str:
+def agreement_in_words(variant: str, one: tables.Agreement) -> str:
     """One line; the first table is what the robot's assumed numbers were calibrated on."""
-    kind = "calibration" if THESIS[arm] == 1 else "grip chosen on it"
-    which = f"Table 4.{THESIS[arm]} ({kind}), arm {arm}"
+    kind = "calibration" if THESIS[variant] == 1 else "grip chosen on it"
+    which = f"Table 4.{THESIS[variant]} ({kind}), variant {variant}"
     if not one.compared:
         return f"{which}: no cell of it was run"
     loads = ", ".join(
@@ -133,13 +133,13 @@ def agreement_in_words(arm: str, one: tables.Agreement) -> str:
 
 
 def _what(experiment: Experiment, table: pl.DataFrame, varied: list[str]) -> Section:
-    gait = next(iter(experiment.arms.values())).gait
+    gait = next(iter(experiment.variants.values())).gait
     pads = [step for step in steps_of(table.columns) if (table[f"step_{step}_height_m"] != 0.0).any()]
     lines = [
         f"{experiment.robot.name}, {float(experiment.robot.total_mass):.1f} kg, {type(gait).__name__}, "
         f"{gait.timing.n_steps} steps in {float(gait.duration):.1f} s.",
         f"{table.height} of {experiment.rows} walks: {experiment.table.height} scenarios with each of "
-        f"{len(experiment.arms)} arms ({', '.join(experiment.arms)}); every arm meets the same scenarios.",
+        f"{len(experiment.variants)} variants ({', '.join(experiment.variants)}), all meet the same scenarios.",
         f"Varied: {', '.join(grids.shown(name).label for name in varied) or 'nothing'}."
         + (f" Pads under steps {', '.join(map(str, pads))}." if pads else ""),
     ]
@@ -147,7 +147,7 @@ def _what(experiment: Experiment, table: pl.DataFrame, varied: list[str]) -> Sec
 
 
 def _success(experiment: Experiment, table: pl.DataFrame) -> Section:
-    names, against = summary.arms(table), []
+    names, against = summary.variants(table), []
     for name in names[1:]:
         if not _in_common(table, name, names[0]):
             against.append(f"{name} and {names[0]} have no scenario in common so far.")
@@ -158,15 +158,17 @@ def _success(experiment: Experiment, table: pl.DataFrame) -> Section:
             f"{one.only_second} only with {names[0]}; difference {one.difference:+.1%} "
             f"(95 % interval {one.low:+.1%} to {one.high:+.1%})."
         )
-    missing = [name for name in experiment.arms if name not in names]
+    missing = [name for name in experiment.variants if name not in names]
     unfinished = [f"No walk of {', '.join(missing)} has finished so far."] if missing else []
     words = ("Success by the rule of the paper, with 95 % Wilson intervals.", *unfinished, *against)
     rates = (summary.cells(table),) if names else ()
     return Section("Success", (*words, *_afterwards(table)), rates)
 
 
-def _in_common(table: pl.DataFrame, arm: str, against: str) -> bool:
-    first, second = (table.filter(pl.col("arm") == name)["scenario"].to_list() for name in (arm, against))
+def _in_common(table: pl.DataFrame, variant: str, against: str) -> bool:
+    first, second = (
+        table.filter(pl.col("variant") == name)["scenario"].to_list() for name in (variant, against)
+    )
     return not set(first).isdisjoint(second)
 
 
@@ -175,10 +177,13 @@ def _afterwards(table: pl.DataFrame) -> list[str]:
     lines = []
     for status, words in WENT_WRONG.items():
         later = table.filter(pl.col("success") & (pl.col("status") == status))
-        by_arm = (f"{arm} {n}" for arm, n in later.group_by("arm", maintain_order=True).len().iter_rows())
+        by_variant = (
+            f"{variant} {n}"
+            for variant, n in later.group_by("variant", maintain_order=True).len().iter_rows()
+        )
         if later.height:
             lines.append(
-                f"{_walks(later.height)} succeeded by the rule and {words} afterwards: {', '.join(by_arm)}."
+                f"{_walks(later.height)} succeeded by the rule and {words} afterwards: {', '.join(by_variant)}."
             )
     return lines
 
@@ -191,15 +196,15 @@ def _loads(experiment: Experiment, table: pl.DataFrame, start: float) -> Section
     agreed = agreements(experiment, table)
     marks: Mapping[str, Any] | None = None
     words, texts = ["Load by time of loading."], []
-    for walks in table.partition_by("arm", maintain_order=True):
-        arm = walks["arm"][0]
-        if arm in agreed and agreed[arm].compared:
-            texts.append(tables.beside_thesis(walks, THESIS[arm], start))
+    for walks in table.partition_by("variant", maintain_order=True):
+        variant = walks["variant"][0]
+        if variant in agreed and agreed[variant].compared:
+            texts.append(tables.beside_thesis(walks, THESIS[variant], start))
         else:
             texts.append(tables.tick_table(walks, start))
-    words += [f"{agreement_in_words(arm, one)}." for arm, one in agreed.items()]
+    words += [f"{agreement_in_words(variant, one)}." for variant, one in agreed.items()]
     if any(one.compared for one in agreed.values()):
-        marks = {arm: tables.thesis_table(THESIS[arm]) for arm in agreed}
+        marks = {variant: tables.thesis_table(THESIS[variant]) for variant in agreed}
         words.append("Cells that differ from the printed table are outlined.")
     offset = start or None  # a gait whose clock starts with the walk has no clock of its own
     axes = {"x": "load_kg", "y": "load_time_s", "offset_s": offset}

@@ -59,12 +59,12 @@ def thesis_table(number: int) -> pl.DataFrame:
 
 
 def tick_table(walks: pl.DataFrame, offset_s: float) -> str:
-    """Write the walks of one arm as the thesis does: a row per time, a column per load, a tick for a success.
+    """Write the walks of one variant as the thesis does: a row per time, a column per load, a tick for a success.
 
     A cell with several walks that do not all end alike shows the share that succeeded; one that was not run, a dot.
 
     Args:
-        walks: the rows of one arm; those without a load are left out.
+        walks: the rows of one variant; those without a load are left out.
         offset_s: what the thesis' time is earlier than ours, T_ini [s].
     """
     ours = our_cells(walks, offset_s)
@@ -77,14 +77,14 @@ def tick_table(walks: pl.DataFrame, offset_s: float) -> str:
 
 
 def beside_thesis(walks: pl.DataFrame, number: int, offset_s: float) -> str:
-    """Write the walks of one arm and a table of the thesis side by side, differing cells marked with a star.
+    """Write the walks of one variant and a table of the thesis side by side, differing cells marked with a star.
 
     Table 4.1 is what the robot was calibrated with; the grip of its floor was chosen on 4.2 and 4.3. Times
     and loads that were run are shown, and it is said how many cells of the thesis were not; a time printed twice has
     two rows. Where no cell was both printed and run, one line says so.
 
     Args:
-        walks: the rows of one arm; those without a load are left out.
+        walks: the rows of one variant; those without a load are left out.
         number: of the thesis' table: 1, 2 or 3.
         offset_s: what the thesis' time is earlier than ours, T_ini [s].
     """
@@ -119,7 +119,7 @@ def agreement(walks: pl.DataFrame, number: int, offset_s: float) -> Agreement:
     if more than half of them do.
 
     Args:
-        walks: the rows of one arm; those without a load are left out.
+        walks: the rows of one variant; those without a load are left out.
         number: of the thesis' table: 1, 2 or 3.
         offset_s: what the thesis' time is earlier than ours, T_ini [s].
     """
@@ -151,7 +151,7 @@ def _milli_text(value: int) -> str:
 
 def our_cells(walks: pl.DataFrame, offset_s: float) -> dict[Cell, tuple[int, int]]:
     """Successes and walks at each time and load."""
-    _one_arm(walks)
+    _one_variant(walks)
     found: dict[Cell, tuple[int, int]] = {}
     known = walks.filter((pl.col("load_kg") > 0.0) & (pl.col("load_time_s") < NEVER))
     for time, load, success in known.select("load_time_s", "load_kg", "success").iter_rows():
@@ -162,15 +162,15 @@ def our_cells(walks: pl.DataFrame, offset_s: float) -> dict[Cell, tuple[int, int
     return found
 
 
-def _one_arm(walks: pl.DataFrame) -> str:
-    names = summary.arms(walks)
+def _one_variant(walks: pl.DataFrame) -> str:
+    names = summary.variants(walks)
     if len(names) != 1:
-        raise ValueError(f"the walks of one arm are needed, not of {len(names)}: {', '.join(names)}")
+        raise ValueError(f"the walks of one variant are needed, not of {len(names)}: {', '.join(names)}")
     return names[0]
 
 
 def _title(walks: pl.DataFrame) -> str:
-    return f"arm {_one_arm(walks)}"
+    return f"variant {_one_variant(walks)}"
 
 
 def _printed_rows(printed: pl.DataFrame) -> list[tuple[int, dict[int, bool]]]:

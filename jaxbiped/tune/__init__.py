@@ -1,10 +1,10 @@
-"""Gradients a person can trust, and what they buy: trust reports, and tuning of the few numbers of an arm."""
+"""Gradients a person can trust, and what they buy: trust reports, and tuning of the few numbers of a variant."""
 
-from jaxbiped.tune.arm_file import arm_file
 from jaxbiped.tune.descent import Settings, Tuned, tune
 from jaxbiped.tune.gradient import Gradient, Problem, central, forward, outcomes, smoothed, value_and_grad
 from jaxbiped.tune.trust import Trust
 from jaxbiped.tune.trust import report as trust_report
+from jaxbiped.tune.variant_file import variant_file
 
 __all__ = [
     "Gradient",
@@ -12,7 +12,6 @@ __all__ = [
     "Settings",
     "Trust",
     "Tuned",
-    "arm_file",
     "central",
     "forward",
     "outcomes",
@@ -20,4 +19,5 @@ __all__ = [
     "trust_report",
     "tune",
     "value_and_grad",
+    "variant_file",
 ]

@@ -104,11 +104,11 @@ def tune(
     tell: Callable[[str], None] = lambda line: None,
     overwrite: bool = False,
 ) -> Tuned:
-    """Tune an arm; goes on where it was stopped.
+    """Tune a variant; goes on where it was stopped.
 
     Args:
         problem: what is tuned, on which scenarios.
-        held_out: the same arms in scenarios that no step sees.
+        held_out: the same variants in scenarios that no step sees.
         out: folder of the state.
         settings: how.
         tell: is given a line of progress after every step.
@@ -118,7 +118,7 @@ def tune(
         ValueError: if the folder holds the state of another descent.
     """
     settings = settings or Settings()
-    judge = Problem(held_out, problem.tunables, problem.loss, problem.arm)
+    judge = Problem(held_out, problem.tunables, problem.loss, problem.variant)
     state = _load(out, problem, judge, settings, overwrite)
     while not state.finished:
         _advance(state, problem, judge, settings, tell)
@@ -236,7 +236,7 @@ def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
         "experiments": [p.experiment.resolved for p in (problem, judge)],
         "tunables": [asdict(t) for t in problem.tunables],
         "loss": _name(problem.loss),
-        "arm": problem.arm,
+        "variant": problem.variant,
         "settings": {**asdict(settings), "steps": 0},  # more steps go on with the same descent
         "code": store.code(),
     }
@@ -255,7 +255,7 @@ def require_same(out: Path, problem: Problem, held_out: batch.Experiment, settin
     Raises:
         ValueError: naming the folder.
     """
-    judge, path = Problem(held_out, problem.tunables, problem.loss, problem.arm), out / STATE
+    judge, path = Problem(held_out, problem.tunables, problem.loss, problem.variant), out / STATE
     if os.path.lexists(path) and _read(path, problem, judge, settings) is None:
         raise ValueError(
             f"out: got '{out}' with the state of another descent, or one that was changed, in {STATE}, "

@@ -77,12 +77,12 @@ class Gradient:
 
 @dataclass(frozen=True)
 class Problem:
-    """Whose loss is asked for: an arm of an experiment, its tunables, a loss."""
+    """Whose loss is asked for: a variant of an experiment, its tunables, a loss."""
 
     experiment: batch.Experiment
     tunables: tuple[Tunable, ...]
     loss: Any
-    arm: str
+    variant: str
     compiled: set[Any] = field(default_factory=set, repr=False, compare=False)
     """Functions that have been called, and for how many walks."""
 
@@ -92,33 +92,33 @@ class Problem:
         experiment: batch.Experiment,
         names: Sequence[str],
         loss: Loss | None = None,
-        arm: str | None = None,
+        variant: str | None = None,
     ) -> "Problem":
         """Check what is asked for.
 
         Raises:
             ValueError: naming what was got and what is allowed.
         """
-        arm = next(iter(experiment.arms)) if arm is None else arm
-        if arm not in experiment.arms:
-            raise ValueError(f"arm: got '{arm}', allowed: {', '.join(experiment.arms)}")
-        found = tunables.find(names, experiment.arms[arm])
-        return cls(experiment, tuple(found), WalkLoss() if loss is None else loss, arm)
+        variant = next(iter(experiment.variants)) if variant is None else variant
+        if variant not in experiment.variants:
+            raise ValueError(f"variant: got '{variant}', allowed: {', '.join(experiment.variants)}")
+        found = tunables.find(names, experiment.variants[variant])
+        return cls(experiment, tuple(found), WalkLoss() if loss is None else loss, variant)
 
     @property
     def controller(self) -> Controller:
-        """The arm."""
-        return self.experiment.arms[self.arm]
+        """The variant."""
+        return self.experiment.variants[self.variant]
 
     @property
     def start(self) -> np.ndarray:
-        """Values of the tunables in the arm."""
+        """Values of the tunables in the variant."""
         return np.asarray(tunables.values(self.controller, self.tunables), float)
 
     @property
     def duration(self) -> float:
         """How long is simulated [s]."""
-        return self.experiment.durations[self.arm]
+        return self.experiment.durations[self.variant]
 
     @cached_property
     def setting(self) -> "_Setting":
@@ -139,7 +139,7 @@ class _Setting(eqx.Module):
     """One walk but for its scenario and the values of the tunables."""
 
     simulation: sim.Simulation
-    """With the arm's own values."""
+    """With the variant's own values."""
     loss: Any
     tunables: tuple[Tunable, ...] = eqx.field(static=True)
     duration: float = eqx.field(static=True)
@@ -207,20 +207,20 @@ def value_and_grad(
     names: Sequence[str],
     at: Any = None,
     loss: Loss | None = None,
-    arm: str | None = None,
+    variant: str | None = None,
     rows: Any = None,
 ) -> Gradient:
     """Losses and derivatives by forward mode.
 
     Args:
-        experiment: robot, arms and scenarios; float64 where JAX is set to it.
+        experiment: robot, variants and scenarios; float64 where JAX is set to it.
         names: of the tunables, see `adapt.tunables`.
-        at: their values (k,); those of the arm if not given.
+        at: their values (k,); those of the variant if not given.
         loss: of one walk; `WalkLoss` if not given.
-        arm: name; the first one if not given.
+        variant: name; the first one if not given.
         rows: of the experiment's scenarios; all if not given.
     """
-    problem = Problem.of(experiment, names, loss, arm)
+    problem = Problem.of(experiment, names, loss, variant)
     return forward(problem, _point(problem, at), _rows(problem, rows))
 
 

@@ -52,18 +52,18 @@ def set_down(stage: LandingStage, gait: Any, time: jax.Array, instants: jax.Arra
 
 @pytest.mark.parametrize("age", [1, 4])
 @pytest.mark.parametrize(
-    ("arm", "offset"),
+    ("variant", "offset"),
     [("paper", -0.05), ("repaired", -0.05), ("repaired", -0.0021), ("repaired", 0.06)],
     ids=["paper, advance", "repaired, advance", "repaired, just before T_s", "repaired, retard"],
 )
-def test_a_touch_acts_from_its_instant(x64, arm, offset, age):
+def test_a_touch_acts_from_its_instant(x64, variant, offset, age):
     """Readings are a physics tick old, one or a quarter of a control tick; the touch happens anywhere in three ticks.
 
     What comes of it differs from one instant to the next as the way of the foot does, not by what it goes in a tick.
     The paper's landing does so where it is told to interpolate.
     """
     gait = planner.PolynomialGait.preset(robot.load("surena3"), 3)
-    stage = LandingStage.plan(getattr(Landing, arm)(interpolate=True), gait)
+    stage = LandingStage.plan(getattr(Landing, variant)(interpolate=True), gait)
     touchdown = float(gait.timing.touchdown(1))
     time = touchdown - 0.6 + DT * np.arange(420)
     instants = time[np.searchsorted(time, touchdown + offset)] + DT * (SHARES - TICKS)
@@ -81,7 +81,7 @@ SERVO = 80.0
 """Of a critically damped servo [rad/s]."""
 WEIGHT, LOAD = 785.0, 60.0
 LITERAL = {"settling_time": 0.3, "reflex_time": 0.1, "shift_time": 0.1}
-ARMS = {
+VARIANTS = {
     "original": ("original", LITERAL),
     "modified": ("modified", LITERAL),
     "modified, smooth ramp": ("modified", {**LITERAL, "smooth_ramp": True}),
@@ -126,11 +126,11 @@ def scanned(params: PayloadReflex, ways: PayloadReflex, gait: Any, time: jax.Arr
     return jax.vmap(lambda p, way: jax.jvp(lambda q: followed(q, gait, time), (p,), (way,)))(params, ways)
 
 
-def scan(arm: str, name: str) -> Any:
+def scan(variant: str, name: str) -> Any:
     """Walks whose event moves over three ticks, and their derivatives."""
     biped = robot.load("elkahlout")
     gait = planner.CosineGait.preset(biped, 2)
-    base, numbers = ARMS[arm]
+    base, numbers = VARIANTS[variant]
     params = getattr(PayloadReflex, base)(biped, gait, **numbers)
     ticks = 3300 if base == "repaired" else 900
     time = float(gait.timing.liftoff(0)) + 0.5 + DT * np.arange(ticks)
@@ -152,14 +152,14 @@ def scan(arm: str, name: str) -> Any:
 
 
 @pytest.mark.parametrize("name", ["threshold", "reflex_time", "settling_time"])
-@pytest.mark.parametrize("arm", ARMS)
-def test_feet_are_a_smooth_function_of_when_a_reflex_starts_and_ends(x64, arm, name):
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_feet_are_a_smooth_function_of_when_a_reflex_starts_and_ends(x64, variant, name):
     """No jump where an event moves on to another tick, so that the feet's derivative is their slope over three ticks.
 
     By the start of the reflex (which the threshold moves), by its end, and by when the ZMP is read and the walk goes
     on. By the end of a literal reflex, a velocity step, the derivative itself steps a little at the ticks.
     """
-    (place, wanted, events), (slope, _, rates) = scan(arm, name)
+    (place, wanted, events), (slope, _, rates) = scan(variant, name)
     mode, trigger = events[:, :, 0], events[:, -1, 1]
     assert np.all(mode[:, -1] == WALK) and np.all((mode == REFLEX).any(axis=1))
     instants, middle = DT * SHARES, len(place) // 2
@@ -173,5 +173,5 @@ def test_feet_are_a_smooth_function_of_when_a_reflex_starts_and_ends(x64, arm, n
     assert jump < 2.0 * speeds * STEP
     over = np.polyfit(instants - instants.mean(), place.reshape(len(place), -1), 1)[0].reshape(slope.shape)
     apart = np.sqrt(np.mean((slope - over) ** 2) / np.mean(over**2))
-    print(f"{arm}, {name}: jump {jump:.3g} m, even {even:.3g} m, slopes {100.0 * apart:.2g} % apart")
-    assert apart < (0.05 if name == "reflex_time" and arm in ("original", "modified") else 0.02)
+    print(f"{variant}, {name}: jump {jump:.3g} m, even {even:.3g} m, slopes {100.0 * apart:.2g} % apart")
+    assert apart < (0.05 if name == "reflex_time" and variant in ("original", "modified") else 0.02)

@@ -176,12 +176,12 @@ def test_flat_ground_stays_within_a_millimetre_of_the_plan(x64, gait):
     assert np.abs(ours[:, 0] - plan[:, 0]).max() < 1e-3
 
 
-@pytest.mark.parametrize("arm", [Landing.paper, Landing.repaired])
+@pytest.mark.parametrize("variant", [Landing.paper, Landing.repaired])
 @pytest.mark.parametrize("height", [0.01, 0.03, 0.05])
-def test_obstacle_is_stood_on_and_released(x64, gait, arm, height):
+def test_obstacle_is_stood_on_and_released(x64, gait, variant, height):
     """The foot stands at the obstacle's height until T_c; one single support later nothing is left vertically."""
     ours, plan, _, phase, missed = walk(
-        Controller(gait, landing=arm()), heights_of(step2=height), ticks_of(gait)
+        Controller(gait, landing=variant()), heights_of(step2=height), ticks_of(gait)
     )
     foot = int((gait.first_swing + 2) % 2)
     kept = np.flatnonzero((phase.step == 2) & (phase.time_since_liftoff > gait.params.T_s + 0.05))
@@ -194,17 +194,17 @@ def test_obstacle_is_stood_on_and_released(x64, gait, arm, height):
     assert int(missed) == 0
 
 
-@pytest.mark.parametrize("arm", [Landing.paper, Landing.repaired])
+@pytest.mark.parametrize("variant", [Landing.paper, Landing.repaired])
 @pytest.mark.parametrize("depth", [0.02, 0.04])
-def test_hole_is_reached_with_the_pelvis_following(x64, gait, arm, depth):
+def test_hole_is_reached_with_the_pelvis_following(x64, gait, variant, depth):
     ours, plan, _, phase, missed = walk(
-        Controller(gait, landing=arm()), heights_of(step2=-depth), ticks_of(gait)
+        Controller(gait, landing=variant()), heights_of(step2=-depth), ticks_of(gait)
     )
     foot = int((gait.first_swing + 2) % 2)
     end = np.flatnonzero(phase.step == 2)[-1]
     added = np.asarray(ours - plan)[end, 0]
     assert added[foot, 2] == pytest.approx(-depth, abs=1e-3)
-    pelvis = added[2, 2] if arm == Landing.repaired else added[2, 2] - DELTA_Z
+    pelvis = added[2, 2] if variant == Landing.repaired else added[2, 2] - DELTA_Z
     assert pelvis == pytest.approx(-depth, abs=1e-3)
     assert int(missed) == 0
 
@@ -269,14 +269,14 @@ def test_a_touch_inside_a_tick_starts_from_the_rates_there(x64, gait, commanded)
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize(
-    ("arm", "repairs"),
+    ("variant", "repairs"),
     [(Landing.paper, Repairs()), (Landing.repaired, ALL_REPAIRS)],
     ids=["paper", "repaired"],
 )
-def test_random_ground_is_met_as_in_the_transcription(x64, gait, arm, repairs, seed):
+def test_random_ground_is_met_as_in_the_transcription(x64, gait, variant, repairs, seed):
     """Random ground under every step: the stage's commands are those of the tick-by-tick transcription."""
     heights = np.random.default_rng(seed).uniform(-0.04, 0.05, N_STEPS)
-    controller = Controller(gait, landing=arm())
+    controller = Controller(gait, landing=variant())
     ours, plan, switches, phase, _ = jax.tree.map(
         np.asarray, walk(controller, jnp.asarray(heights), ticks_of(gait))
     )

@@ -37,7 +37,7 @@ EVENTS = (
     "held from before T_s/2",
     "never",
 )
-ARMS = {"paper": (Landing.paper, Repairs()), "repaired": (Landing.repaired, ALL_REPAIRS)}
+VARIANTS = {"paper": (Landing.paper, Repairs()), "repaired": (Landing.repaired, ALL_REPAIRS)}
 
 
 class Walk(eqx.Module):
@@ -205,9 +205,9 @@ def times_and_ways(
     return times, np.stack(ways, axis=1)
 
 
-def play_batch(arm: str, walk: Walk, seed: int) -> tuple[np.ndarray, np.ndarray, list[Commands]]:
+def play_batch(variant: str, walk: Walk, seed: int) -> tuple[np.ndarray, np.ndarray, list[Commands]]:
     """What the stage commands in random histories and how often it misses a touch; what it should command."""
-    make, repairs = ARMS[arm]
+    make, repairs = VARIANTS[variant]
     rng = np.random.default_rng(seed)
     readings = [history(rng, walk) for _ in range(BATCH)]
     chosen = [parameters(rng, i < BATCH // 2, walk.plan.T_c - walk.plan.T_s) for i in range(BATCH)]
@@ -243,12 +243,12 @@ def require_every_case(plan: Plan, batch: list[Commands]) -> None:
     assert min(found.values()) >= 2, found
 
 
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize(("name", "seed"), [*(("surena3", seed) for seed in range(5)), ("elkahlout", 5)])
-def test_commands_are_those_of_the_transcription(x64, arm, name, seed):
+def test_commands_are_those_of_the_transcription(x64, variant, name, seed):
     """At every tick of 200 walks of surena3 and 40 of elkahlout: soles and pelvis, their rates and accelerations."""
     walk = planned(name)
-    ours, missed, batch = play_batch(arm, walk, seed)
+    ours, missed, batch = play_batch(variant, walk, seed)
     require_every_case(walk.plan, batch)
     for i, theirs in enumerate(batch):
         for order, (what, atol) in enumerate(ATOL.items()):

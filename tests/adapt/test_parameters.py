@@ -131,18 +131,20 @@ def test_switches_are_true_or_false(record, name):
 
 
 @pytest.mark.parametrize(("record", "name"), SWITCHES)
-def test_named_arms_accept_switches(walk, record, name):
+def test_named_variants_accept_switches(walk, record, name):
     biped, gait = walk
     given = {"threshold": 50.0, "zmp_balanced": -0.03, "x_stand": 0.0, "body_time": 0.5}
-    for arm in ("paper", "repaired") if record is Landing else ("original", "modified", "repaired"):
+    for variant in ("paper", "repaired") if record is Landing else ("original", "modified", "repaired"):
         for value in (True, False):
-            make_arm = getattr(record, arm)
+            make_variant = getattr(record, variant)
             switch = {name: value}
-            made = make_arm(**switch) if record is Landing else make_arm(biped, gait, **given, **switch)
+            made = (
+                make_variant(**switch) if record is Landing else make_variant(biped, gait, **given, **switch)
+            )
             assert getattr(made, name) is value
 
 
-def test_the_literal_arms_have_their_switches_off(walk):
+def test_the_literal_variants_have_their_switches_off(walk):
     paper = Landing.paper(keep_x=True)
     assert paper.keep_x and not any(
         getattr(paper, name) for name in ("stays_down", "no_undershoot", "interpolate")

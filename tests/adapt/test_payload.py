@@ -52,7 +52,7 @@ NOT_OPTIMISED = {"xla_backend_optimization_level": 0}
 """How to compile what runs once: faster to compile, slower to run."""
 KINDS = {"cosine": CosineGait, "polynomial": PolynomialGait}
 ROBOTS = ("elkahlout", "surena3")
-ARMS = ("original", "modified", "repaired")
+VARIANTS = ("original", "modified", "repaired")
 SHARES = ((0.1, 0.2, 0.05, 0.05), (0.3, 0.0, 0.2, 0.1))
 """Of the force, at the corners of the soles."""
 
@@ -139,15 +139,15 @@ def preset(kind: str, name: str, n_steps: int, first_swing: int):
 
 
 @partial(jax.jit, compiler_options=NOT_OPTIMISED)
-def _arms(biped, gait):
-    return {arm: getattr(PayloadReflex, arm)(biped, gait, starts_again=True) for arm in ARMS}
+def _variants(biped, gait):
+    return {variant: getattr(PayloadReflex, variant)(biped, gait, starts_again=True) for variant in VARIANTS}
 
 
 @cache
-def arms() -> dict[str, PayloadReflex]:
+def variants() -> dict[str, PayloadReflex]:
     """The named parameters, for the thesis' robot and gait."""
     with jax.enable_x64(True):
-        return _arms(robot.load("elkahlout"), preset("cosine", "elkahlout", 3, 0))
+        return _variants(robot.load("elkahlout"), preset("cosine", "elkahlout", 3, 0))
 
 
 def with_numbers(params: PayloadReflex, **numbers: float) -> PayloadReflex:
@@ -221,13 +221,13 @@ def random_histories(seed: int) -> tuple[list[ThesisReflex], Histories]:
 
 
 def ours_of(reflex: ThesisReflex) -> PayloadReflex:
-    arm = "modified" if reflex.modified else "original"
+    variant = "modified" if reflex.modified else "original"
     numbers = {ours: getattr(reflex, theirs) for theirs, ours in OURS.items()}
     constant = {
         f"{name}_time_constant": -THESIS_TICK / np.log1p(-share)
         for name, share in (("force", LAMBDA_FORCE), ("zmp", LAMBDA_ZMP))
     }
-    return with_numbers(arms()[arm], **numbers, **constant)
+    return with_numbers(variants()[variant], **numbers, **constant)
 
 
 @cache
@@ -327,7 +327,7 @@ def golden():
     """
     with jax.enable_x64(True):
         gait, dt = preset("cosine", "elkahlout", N_STEPS, 0), 0.0016
-        T_ini, params = float(gait.params.T_ini), with_numbers(arms()["original"], threshold=25.0)
+        T_ini, params = float(gait.params.T_ini), with_numbers(variants()["original"], threshold=25.0)
         histories = Histories.quiet(np.tile(dt * np.arange(TICKS), (WALKS, 1)))
         cases = []
         for i in range(WALKS):
@@ -361,14 +361,14 @@ def test_recovery_takes_as_long_as_in_the_thesis(case, trigger, recovery):
 
 
 def test_defaults_are_the_thesis_ones(x64):
-    original, modified = (arms()[arm] for arm in ("original", "modified"))
+    original, modified = (variants()[variant] for variant in ("original", "modified"))
     assert float(original.settling_time) == 2.0
     assert float(modified.settling_time) == 4.0
-    for arm in (original, modified):
-        assert float(arm.reflex_time) == pytest.approx(0.1)
-        assert float(arm.shift_time) == 0.5
-        assert float(arm.x_ref_gain) == 1.0
-        assert float(arm.zmp_balanced) == pytest.approx(-0.035, abs=0.01)
+    for variant in (original, modified):
+        assert float(variant.reflex_time) == pytest.approx(0.1)
+        assert float(variant.shift_time) == 0.5
+        assert float(variant.x_ref_gain) == 1.0
+        assert float(variant.zmp_balanced) == pytest.approx(-0.035, abs=0.01)
     for constant, share in ((FORCE_TIME_CONSTANT, LAMBDA_FORCE), (ZMP_TIME_CONSTANT, LAMBDA_ZMP)):
         assert -np.expm1(-THESIS_TICK / constant) == pytest.approx(share, rel=1e-5)
 
@@ -391,7 +391,7 @@ REFLEX_TIME = {"literal": 0.1, "repaired": 0.6}
 
 
 def for_units(*groups: str):
-    """Run a test for every unit of the groups; the slow tests have the other first foot, and the arms of the thesis on
+    """Run a test for every unit of the groups; the slow tests have the other first foot, and the thesis' variants on
     its own gait, whose positions the transcription has."""
     fast = [unit for unit in UNITS if unit[0] in groups]
     slow = [pytest.param(*unit, marks=pytest.mark.slow) for unit in OTHERS if unit[0] in groups]
@@ -407,9 +407,9 @@ def motions(group: str, kind: str, first_swing: int):
         for name in ROBOTS:
             gait = preset(kind, name, MOTION_STEPS, first_swing)
             for i in range(TRIGGERS):
-                arm = arms()[GROUPS[group][i % len(GROUPS[group])]]
+                variant = variants()[GROUPS[group][i % len(GROUPS[group])]]
                 numbers = {"reflex_time": REFLEX_TIME[group], "settling_time": 1.0, "zmp_time_constant": 0.1}
-                params.append(with_numbers(arm, **numbers))
+                params.append(with_numbers(variant, **numbers))
                 gaits.append(gait)
                 times.append((i + rng.random()) / TRIGGERS * float(gait.duration))
         histories = Histories.quiet(np.tile(DT * (np.arange(MOTION_TICKS) + OFF), (len(times), 1)))
@@ -475,7 +475,7 @@ def test_feet_on_the_ground_stand_still(group, kind, first_swing):
     """In the world: the stance foot always, both in double support; a foot that is up is a single support's.
 
     The reflex may move both feet that are down, and so may a recovery that has too little to make up for a step: in
-    the repaired arm 0.1 mm.
+    the repaired variant 0.1 mm.
     """
     rows = motions(group, kind, first_swing)
     sole, mode, phase = rows["motion"][:, :, 0, :2], rows["mode"], rows["phase"]
@@ -607,7 +607,7 @@ def two_payloads(group: str, kind: str, names: tuple[str, ...], n_steps: int, fi
     for i in range(walks):
         gaits.append(preset(kind, names[i * len(names) // walks], n_steps, first_swing))
         numbers |= {"zmp_balanced": rng.uniform(-0.05, 0.0), "x_ref_gain": rng.choice([1.0, 0.6])}
-        params.append(with_numbers(arms()[GROUPS[group][i % len(GROUPS[group])]], **numbers))
+        params.append(with_numbers(variants()[GROUPS[group][i % len(GROUPS[group])]], **numbers))
         histories.zmp[i] = numbers["zmp_balanced"]
         histories.change(i, rng.uniform(0.2, float(gaits[i].duration)), LOAD, rng.uniform(-0.05, 0.05))
     mode = run(params, gaits, histories, orders=shape["orders"])["mode"]
@@ -642,17 +642,17 @@ def check_two_payloads(rows, gaits, wanted) -> None:
         np.testing.assert_allclose(before[:2] - before[2:], feet[0], atol=2e-3)
 
 
-def test_literal_arms_have_one_reflex_only(x64):
+def test_literal_variants_have_one_reflex_only(x64):
     """As the thesis' experiments; ours start again."""
     gait, dt = preset("cosine", "elkahlout", N_STEPS, 0), 0.005
     histories = Histories.quiet(dt * (np.arange(TICKS) + OFF)[None])
     histories.change(0, 1.7, LOAD, 0.0)
     histories.change(0, 0.8 * float(histories.time[0, -1]), LOAD, 0.0)
     biped = robot.load("elkahlout")
-    for arm in ARMS:
-        params = getattr(PayloadReflex, arm)(biped, gait)
+    for variant in VARIANTS:
+        params = getattr(PayloadReflex, variant)(biped, gait)
         rows = run([params], [gait], histories, compiled=_run_once)
-        assert rows["reflexes"][0, -1] == (2 if arm == "repaired" else 1)
+        assert rows["reflexes"][0, -1] == (2 if variant == "repaired" else 1)
 
 
 def test_second_payload_counts_from_the_start(x64):
@@ -671,7 +671,7 @@ def test_events_from_the_tick_that_saw_them(x64):
     """interpolate=False: reflex and walk begin with a tick."""
     gait = preset("cosine", "elkahlout", 1, 0)
     numbers = {"settling_time": 0.3, "threshold": 25.0}
-    params = dataclasses.replace(with_numbers(arms()["original"], **numbers), interpolate=False)
+    params = dataclasses.replace(with_numbers(variants()["original"], **numbers), interpolate=False)
     histories = Histories.quiet(0.005 * np.arange(600)[None])
     histories.change(0, 0.5, 60.0)
     rows = run([params], [gait], histories, compiled=_run_once)
@@ -774,8 +774,8 @@ def test_a_given_threshold_spares_the_look_at_the_plan(x64, monkeypatch):
     monkeypatch.setattr(of_payload, "planned_ripple", lambda *_: pytest.fail("looked"))
     biped, gait = robot.load("elkahlout"), preset("cosine", "elkahlout", 3, 0)
     given = {"threshold": 50.0, "zmp_balanced": -0.03, "x_stand": 0.0}
-    for arm in ARMS:
-        assert float(getattr(PayloadReflex, arm)(biped, gait, **given).threshold) == 50.0
+    for variant in VARIANTS:
+        assert float(getattr(PayloadReflex, variant)(biped, gait, **given).threshold) == 50.0
 
 
 # ---------------------------------------------------------------- at the edges
@@ -793,7 +793,7 @@ def edges():
     """
     with jax.enable_x64(True):
         gait, dt = preset("cosine", "elkahlout", N_STEPS, 0), 0.005
-        base = with_numbers(arms()["original"], threshold=40.0, slow_threshold=40.0, settling_time=1.0)
+        base = with_numbers(variants()["original"], threshold=40.0, slow_threshold=40.0, settling_time=1.0)
         histories, load = Histories.quiet(np.tile(dt * np.arange(TICKS), (WALKS, 1))), 100.0
         edge = load * -np.expm1(-dt / float(base.force_time_constant))
         cases = [with_numbers(base, rearm_time=time) for time in PULSES.values()]
@@ -866,21 +866,21 @@ IDENTITIES = {
     ("cosine", "elkahlout"): ("original", "modified"),
     ("polynomial", "surena3"): ("repaired",),
 }
-"""Arms of the fast tests; the slow ones have the others."""
+"""Variants of the fast tests; the slow ones have the others."""
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "arm"),
+    ("kind", "name", "variant"),
     [
-        pytest.param(*plan, arm, marks=() if arm in fast else pytest.mark.slow)
+        pytest.param(*plan, variant, marks=() if variant in fast else pytest.mark.slow)
         for plan, fast in IDENTITIES.items()
-        for arm in ARMS
+        for variant in VARIANTS
     ],
 )
-def test_without_payload_the_stage_is_the_plan(kind, name, arm):
+def test_without_payload_the_stage_is_the_plan(kind, name, variant):
     """To the last bit, in float32, for a force that is constant or fluctuates by 12 N."""
     gait = KINDS[kind].preset(robot.load(name), MOTION_STEPS)
-    params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), arms()[arm])
+    params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), variants()[variant])
     time = jnp.linspace(0.0, float(gait.duration) + 0.5, 1500)
     noise = np.random.default_rng(3).uniform(-12.0, 12.0, 1500)
     noise[0] = 0.0

@@ -10,7 +10,7 @@ import pytest
 from jaxbiped import robot
 from jaxbiped.adapt import Controller, Landing, PayloadReflex, tunables
 from jaxbiped.adapt.tunables import TUNABLES
-from jaxbiped.commands.choices import load_arm
+from jaxbiped.commands.choices import load_variant
 from jaxbiped.planner import GaitError, PolynomialGait, StartStop, violations
 
 
@@ -150,7 +150,7 @@ def test_start_and_stop_in_the_tables_of_a_file_and_back(made, tmp_path):
     assert tables["gait"] == {"start_stop.x_rest_start": -0.02, "H_max": 0.09}
     file = tmp_path / "tuned.toml"
     file.write_text("[gait]\n" + "".join(f"{name} = {value}\n" for name, value in tables["gait"].items()))
-    gait: Any = load_arm("--arm", file, biped, controller.gait).gait
+    gait: Any = load_variant("--variant", file, biped, controller.gait).gait
     assert float(gait.params.start_stop.x_rest_start) == pytest.approx(-0.02)
     assert float(gait.params.H_max) == pytest.approx(0.09)
 

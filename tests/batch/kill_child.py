@@ -10,11 +10,11 @@ SCENARIOS, LANES = 40, 4
 
 
 def experiment() -> batch.Experiment:
-    """Cheap to walk: ten chunks of one arm."""
+    """Cheap to walk: ten chunks of one variant."""
     params = robot.load("surena3")
-    arms = {"off": adapt.Controller(planner.PolynomialGait.preset(params, 2))}
+    variants = {"off": adapt.Controller(planner.PolynomialGait.preset(params, 2))}
     table = batch.grid(friction=np.linspace(0.4, 0.9, SCENARIOS).tolist())
-    return batch.Experiment(params, arms, table, duration=0.3, batch=LANES)
+    return batch.Experiment(params, variants, table, duration=0.3, batch=LANES)
 
 
 def main(folder: str, workers: str, scheduler: str | None = None) -> int:

@@ -14,6 +14,8 @@ from jaxbiped import adapt, batch, planner, robot
 from jaxbiped.batch import store
 
 OLD = Path(__file__).with_name("folders_of_0_1")
+OLDEST = ("elkahlout", "surena3")
+"""Written before folders had a format; `payload` and `obstacles` are of format 2, written by commit a5252ff."""
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +26,9 @@ def surena():
 
 def experiment(surena, rows=20, **changed):
     params, gait = surena
-    arms = {"off": adapt.Controller(gait), "other": adapt.Controller(gait)}
+    variants = {"off": adapt.Controller(gait), "other": adapt.Controller(gait)}
     table = batch.grid(friction=np.linspace(0.4, 0.9, rows).tolist())
-    given = {"robot": params, "arms": arms, "scenarios": table, "batch": 8, "duration": 0.02}
+    given = {"robot": params, "variants": variants, "scenarios": table, "batch": 8, "duration": 0.02}
     return batch.Experiment(**{**given, **changed})
 
 
@@ -119,11 +121,11 @@ def test_part_of_another_chunk_under_this_chunks_name_does_not_count(folder):
     assert len(folder.said) == 2
 
 
-def test_part_of_another_arm_or_experiment_does_not_count(folder, surena, tmp_path):
+def test_part_of_another_variant_or_experiment_does_not_count(folder, surena, tmp_path):
     """Of the same shape, with the same inputs, under the right name."""
     other = Folder(tmp_path / "other", experiment(surena, duration=0.03), folder.made)
     shutil.copy(other.part(0), folder.part(0))
-    shutil.copy(folder.part(2), folder.part(5))  # the last chunk of each arm
+    shutil.copy(folder.part(2), folder.part(5))  # the last chunk of each variant
     folder.run()
     assert folder.made == [0, 5] and (folder.path / store.TABLE).read_bytes() == folder.table
     assert "another experiment" in folder.said[0]
@@ -278,11 +280,10 @@ def test_folders_of_version_0_1_still_open(name):
     said = []
     one, rows = batch.open_table(OLD / name, said.append)
     assert said == [] and rows.height == one.rows
-    assert rows.equals(pl.read_parquet(OLD / name / store.TABLE))
-    assert set(one.table.columns) - set(rows.columns) == {
-        "load_end_s"
-    }  # an input that came later, by default
-    assert set(one.table["load_end_s"]) == {batch.NEVER}
+    assert rows.equals(pl.read_parquet(OLD / name / store.TABLE).rename({"arm": "variant"}))
+    if name in OLDEST:  # an input that came later, by default
+        assert set(one.table.columns) - set(rows.columns) == {"load_end_s"}
+        assert set(one.table["load_end_s"]) == {batch.NEVER}
     assert "jaxbiped." not in json.dumps(one.resolved)  # names of records, no places in the code
 
 

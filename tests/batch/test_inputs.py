@@ -214,7 +214,7 @@ def test_bad_tables_are_refused(columns, says):
 
 
 BAD_EXPERIMENTS = [
-    ({"arms": {}}, "arms: got none"),
+    ({"variants": {}}, "variants: got none"),
     ({"duration": 0.0}, "duration"),
     ({"duration": float("nan")}, "duration"),
     ({"batch": 0}, "batch: got 0"),
@@ -227,7 +227,7 @@ BAD_EXPERIMENTS = [
 @pytest.mark.parametrize(("changed", "says"), BAD_EXPERIMENTS)
 def test_bad_experiments_are_refused(surena, changed, says):
     params, gait = surena
-    given = {"robot": params, "arms": {"off": adapt.Controller(gait)}, "scenarios": grid(friction=0.8)}
+    given = {"robot": params, "variants": {"off": adapt.Controller(gait)}, "scenarios": grid(friction=0.8)}
     with pytest.raises(ValueError, match="allowed") as refusal:
         Experiment(**{**given, **changed})
     assert says in str(refusal.value)
@@ -242,50 +242,50 @@ def test_never_more_lanes_than_scenarios(surena):
 
 def test_numpys_whole_numbers_are_whole_numbers(surena):
     params, gait = surena
-    arms = {"a": adapt.Controller(gait)}
-    one = Experiment(params, arms, grid(friction=0.8), batch=np.int64(4), seed=np.int32(3))
+    variants = {"a": adapt.Controller(gait)}
+    one = Experiment(params, variants, grid(friction=0.8), batch=np.int64(4), seed=np.int32(3))
     assert type(one.batch) is int and type(one.seed) is int
 
 
 def test_obstacle_as_high_as_the_swing_is_refused(surena):
     """A walk refuses it; a table does too."""
     params, gait = surena
-    arms = {"off": adapt.Controller(gait)}
-    assert Experiment(params, arms, grid(step_2_height_m=[0.0, 0.09])).rows == 2
+    variants = {"off": adapt.Controller(gait)}
+    assert Experiment(params, variants, grid(step_2_height_m=[0.0, 0.09])).rows == 2
     with pytest.raises(
         ValueError, match=r"step 2: got an obstacle of 0\.1 m, allowed: below 0\.1 m, the height the swing"
     ):
-        Experiment(params, arms, grid(step_2_height_m=[0.0, 0.1]))
+        Experiment(params, variants, grid(step_2_height_m=[0.0, 0.1]))
     low = tunables.other_gait(params, gait, {"H_max": 0.05})
-    with pytest.raises(ValueError, match="arm 'low': step 2"):  # with its own gait
-        Experiment(params, {**arms, "low": adapt.Controller(low)}, grid(step_2_height_m=[0.09]))
+    with pytest.raises(ValueError, match="variant 'low': step 2"):  # with its own gait
+        Experiment(params, {**variants, "low": adapt.Controller(low)}, grid(step_2_height_m=[0.09]))
 
 
 @pytest.mark.parametrize("height", [0.01, -0.01])
 def test_obstacle_or_hole_under_a_foot_at_the_start_is_refused(surena, height):
     params, gait = surena
-    arms = {"off": adapt.Controller(gait)}
+    variants = {"off": adapt.Controller(gait)}
     with pytest.raises(ValueError, match=r"start: got an? \w+ of -?0\.01 m .* under the left foot"):
-        Experiment(params, arms, grid(step_0_height_m=[0.0, height]))
-    assert Experiment(params, arms, grid(step_0_height_m=0.0)).rows == 1  # nothing lies there
+        Experiment(params, variants, grid(step_0_height_m=[0.0, height]))
+    assert Experiment(params, variants, grid(step_0_height_m=0.0)).rows == 1  # nothing lies there
 
 
 def test_overlapping_pads_are_refused():
     params = robot.load("surena3")
     gait = planner.CosineGait.preset(params, 6)
-    arms = {"off": adapt.Controller(gait)}
+    variants = {"off": adapt.Controller(gait)}
     apart = pl.DataFrame({"step_2_height_m": [0.01, 0.0], "step_4_height_m": [0.0, 0.01]})
-    assert Experiment(params, arms, apart).rows == 2
+    assert Experiment(params, variants, apart).rows == 2
     both = pl.DataFrame({"step_2_height_m": [0.01], "step_4_height_m": [0.01]})
     with pytest.raises(ValueError, match="steps 2 and 4 that overlap"):
-        Experiment(params, arms, both)
+        Experiment(params, variants, both)
 
 
 def test_room_for_delay_and_noise_follows_from_the_scenarios(surena):
     params, gait = surena
-    arms = {"off": adapt.Controller(gait)}
-    assert not Experiment(params, arms, grid(friction=0.8)).simulation.noise
-    noisy = Experiment(params, arms, grid(force_noise_N=[0.0, 5.0], delay_s=[0.0, 0.005]))
+    variants = {"off": adapt.Controller(gait)}
+    assert not Experiment(params, variants, grid(friction=0.8)).simulation.noise
+    noisy = Experiment(params, variants, grid(force_noise_N=[0.0, 5.0], delay_s=[0.0, 0.005]))
     assert noisy.simulation.noise and noisy.simulation.delay_room == 3  # 2 ms a control tick
 
 

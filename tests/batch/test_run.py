@@ -26,12 +26,12 @@ def surena():
 
 def experiment(surena, rows=20, **changed):
     params, gait = surena
-    arms = {
+    variants = {
         "off": adapt.Controller(gait),
         "repaired": adapt.Controller(gait, landing=adapt.Landing.repaired()),
     }
     table = batch.grid(friction=np.linspace(0.4, 0.9, rows).tolist())
-    given = {"robot": params, "arms": arms, "scenarios": table, "batch": 8, "duration": 0.02}
+    given = {"robot": params, "variants": variants, "scenarios": table, "batch": 8, "duration": 0.02}
     return batch.Experiment(**{**given, **changed})
 
 
@@ -121,13 +121,13 @@ CHANGES = {
     "batch": lambda s: {"batch": 4},
     "dt": lambda s: {"options": sim.Options(dt=1e-3)},
     "seed": lambda s: {"seed": 5},
-    "arm": lambda s: {
-        "arms": {
+    "variant": lambda s: {
+        "variants": {
             "off": adapt.Controller(s[1]),
             "repaired": adapt.Controller(s[1], landing=adapt.Landing.repaired(descent_speed=0.21)),
         }
     },
-    "gait": lambda s: {"arms": {"off": adapt.Controller(planner.PolynomialGait.preset(s[0], 3))}},
+    "gait": lambda s: {"variants": {"off": adapt.Controller(planner.PolynomialGait.preset(s[0], 3))}},
 }
 
 
@@ -230,8 +230,8 @@ def test_a_row_says_what_a_single_walk_says(walked):
     for row in (0, 3):
         chosen = one.table[row]
         scenario = jax.tree.map(lambda leaf: leaf[0], batch.scenarios_of(chosen, []))
-        walk = sim.rollout(one.robot, one.arms["off"], scenario, 0.6, one.simulation)
-        verdict = score.judge(walk, one.arms["off"].gait, scenario)
+        walk = sim.rollout(one.robot, one.variants["off"], scenario, 0.6, one.simulation)
+        verdict = score.judge(walk, one.variants["off"].gait, scenario)
         said = table.row(row, named=True)
         assert said["status"] == score.STATUS_TEXT[int(verdict.status)] and said["success"] == bool(
             verdict.success
@@ -299,8 +299,8 @@ import sys
 import jaxbiped as jb
 
 robot = jb.robot.load("elkahlout")
-arms = {"off": jb.adapt.Controller(jb.planner.CosineGait.preset(robot, 2))}
-one = jb.batch.Experiment(robot, arms, jb.batch.grid(friction=[0.5, 0.6]), duration=0.02, batch=1)
+variants = {"off": jb.adapt.Controller(jb.planner.CosineGait.preset(robot, 2))}
+one = jb.batch.Experiment(robot, variants, jb.batch.grid(friction=[0.5, 0.6]), duration=0.02, batch=1)
 jb.batch.run(one, sys.argv[1], workers=2)
 """
 
@@ -318,17 +318,17 @@ def test_a_script_without_main_guard_is_told_so_in_one_line(tmp_path):
     )
 
 
-def test_a_worker_forgets_what_is_compiled_for_arms_of_another_kind(surena, monkeypatch):
+def test_a_worker_forgets_what_is_compiled_for_variants_of_another_kind(surena, monkeypatch):
     one = experiment(surena)
     monkeypatch.setattr(workers, "ROOM_MIB", 0.0)
     monkeypatch.setattr(workers, "_kinds", set())
     forgets = []
     monkeypatch.setattr(jax, "clear_caches", lambda: forgets.append(True))
     chunks = one.chunks
-    for arm, forgotten in (("off", 1), ("off", 1), ("repaired", 2), ("repaired", 2), ("off", 3)):
-        chunk = next(chunk for chunk in chunks if chunk.arm == arm)
+    for variant, forgotten in (("off", 1), ("off", 1), ("repaired", 2), ("repaired", 2), ("off", 3)):
+        chunk = next(chunk for chunk in chunks if chunk.variant == variant)
         workers._make_room(one, chunk)
         assert len(forgets) == forgotten
     monkeypatch.setattr(workers, "ROOM_MIB", 1e9)
-    workers._make_room(one, next(chunk for chunk in chunks if chunk.arm == "repaired"))
+    workers._make_room(one, next(chunk for chunk in chunks if chunk.variant == "repaired"))
     assert len(forgets) == 3

@@ -11,10 +11,15 @@ from scipy import stats
 from jaxbiped.batch import intervals, summary
 
 
-def walks(arm: str, successes, **columns) -> pl.DataFrame:
+def walks(variant: str, successes, **columns) -> pl.DataFrame:
     successes = [bool(s) for s in successes]
     return pl.DataFrame(
-        {"arm": [arm] * len(successes), "scenario": range(len(successes)), **columns, "success": successes}
+        {
+            "variant": [variant] * len(successes),
+            "scenario": range(len(successes)),
+            **columns,
+            "success": successes,
+        }
     )
 
 
@@ -38,7 +43,7 @@ def test_wilson_of_nothing_says_nothing_and_of_nonsense_fails():
             summary.wilson(*wrong)
 
 
-def test_cells_count_per_arm_and_value_in_the_tables_order_of_arms():
+def test_cells_count_per_variant_and_value_in_the_tables_order_of_variants():
     table = pl.concat(
         [
             walks("zeta", [1, 0, 1, 1], load_kg=[5.0, 5.0, 2.5, 5.0]),
@@ -46,15 +51,15 @@ def test_cells_count_per_arm_and_value_in_the_tables_order_of_arms():
         ]
     )
     cells = summary.cells(table, ["load_kg"])
-    assert cells.columns == ["arm", "load_kg", "n", "successes", "rate", "low", "high"]
-    assert cells.select("arm", "load_kg", "n", "successes").rows() == [
+    assert cells.columns == ["variant", "load_kg", "n", "successes", "rate", "low", "high"]
+    assert cells.select("variant", "load_kg", "n", "successes").rows() == [
         ("zeta", 2.5, 1, 1),
         ("zeta", 5.0, 3, 2),
         ("alpha", 2.5, 2, 0),
     ]
     assert cells["rate"].to_list() == pytest.approx([1.0, 2 / 3, 0.0])
     assert (cells["low"][1], cells["high"][1]) == summary.wilson(2, 3)
-    assert summary.cells(table).select("arm", "n").rows() == [("zeta", 4), ("alpha", 2)]
+    assert summary.cells(table).select("variant", "n").rows() == [("zeta", 4), ("alpha", 2)]
     assert summary.cells(table.head(0), ["load_kg"]).is_empty()
 
 
@@ -104,7 +109,7 @@ def test_paired_counts_scenarios_whatever_their_order():
     result = summary.paired(paired_walks(36, 12, 2, 0), "a", "b")
     # b is written backwards, so that only the scenario's number tells which rows belong together
     assert (result.both, result.only_first, result.only_second, result.neither) == (36, 12, 2, 0)
-    assert (result.arm, result.against, result.n, result.unpaired) == ("a", "b", 50, 0)
+    assert (result.variant, result.against, result.n, result.unpaired) == ("a", "b", 50, 0)
     assert result.difference == pytest.approx(0.2)
     assert (result.low, result.high) == summary.newcombe(36, 12, 2, 0)
     assert result.p_value == pytest.approx(2 * (1 + 14 + 91) / 2**14)
@@ -134,16 +139,16 @@ def test_paired_means_are_those_of_the_scenarios_in_which_both_succeed():
     eight = summary.paired_means(few, "new", "old", most)
     ends = stats.ttest_1samp(np.maximum(gain, -80.0)[5:13], 0.0).confidence_interval(0.95)
     assert (eight.n, eight.low, eight.high) == (8, pytest.approx(ends.low), pytest.approx(ends.high))
-    nobody = table.with_columns(success=pl.col("arm") == "old")
+    nobody = table.with_columns(success=pl.col("variant") == "old")
     with pytest.raises(ValueError, match="both succeed"):
         summary.paired_means(nobody, "new", "old", most)
 
 
-def test_paired_leaves_out_what_only_one_arm_met_and_refuses_what_cannot_be_paired():
+def test_paired_leaves_out_what_only_one_variant_met_and_refuses_what_cannot_be_paired():
     table = pl.concat([walks("a", [1, 1, 0]), walks("b", [0, 1])])
     result = summary.paired(table, "a", "b")
     assert (result.n, result.unpaired, result.both, result.only_first) == (2, 1, 1, 1)
-    with pytest.raises(ValueError, match="no arm 'c'; there are a, b"):
+    with pytest.raises(ValueError, match="no variant 'c'; there are a, b"):
         summary.paired(table, "a", "c")
     with pytest.raises(ValueError, match="more than once"):
         summary.paired(pl.concat([table, walks("b", [1])]), "a", "b")
@@ -152,10 +157,12 @@ def test_paired_leaves_out_what_only_one_arm_met_and_refuses_what_cannot_be_pair
         summary.paired(apart, "a", "b")
 
 
-def rates(arm: str, by: dict[float, dict[float, int]], what: str, over: str) -> pl.DataFrame:
+def rates(variant: str, by: dict[float, dict[float, int]], what: str, over: str) -> pl.DataFrame:
     """Twenty walks at each value, of which so many succeed."""
     rows = [(o, w, i < n) for o, cell in by.items() for w, n in cell.items() for i in range(20)]
-    return walks(arm, [s for *_, s in rows], **{what: [w for _, w, _ in rows], over: [o for o, *_ in rows]})
+    return walks(
+        variant, [s for *_, s in rows], **{what: [w for _, w, _ in rows], over: [o for o, *_ in rows]}
+    )
 
 
 def test_frontier_ends_where_the_rate_first_falls_short():
@@ -166,9 +173,18 @@ def test_frontier_ends_where_the_rate_first_falls_short():
     }
     table = rates("a", cells, "load_kg", "load_time_s").sample(fraction=1.0, shuffle=True, seed=1)
     limits = summary.frontier(table)
-    assert limits.columns == ["arm", "load_time_s", "direction", "level", "load_kg", "low", "high", "beyond"]
+    assert limits.columns == [
+        "variant",
+        "load_time_s",
+        "direction",
+        "level",
+        "load_kg",
+        "low",
+        "high",
+        "beyond",
+    ]
     # Wilson: of 20, 20 are 84 % at least, 19 76 % and at most 99 %, 18 97 %, 10 30 % to 70 %, 9 66 % at most.
-    assert limits.drop("arm", "direction").rows() == [
+    assert limits.drop("variant", "direction").rows() == [
         (1.0, 0.95, 5.0, None, 7.5, False),
         (1.0, 0.5, 7.5, 5.0, None, False),
         (2.0, 0.95, None, None, None, False),
@@ -220,7 +236,7 @@ def test_frontier_leaves_out_walks_without_the_event():
 
 
 def planted(n: int = 4_000) -> pl.DataFrame:
-    """Friction alone decides in arm a, and in arm b half of the walks fail whatever they meet."""
+    """Friction alone decides in variant a, and in variant b half of the walks fail whatever they meet."""
     rng = np.random.default_rng(0)
     columns = {
         "load_kg": rng.uniform(0, 20, n),
@@ -242,16 +258,16 @@ def test_causes_find_the_input_that_decides():
         "step_1_height_m",
     ]  # what varies, and was given
     first = found.row(0, named=True)
-    assert (first["arm"], first["input"], first["bins"]) == ("a", "friction", 8)
+    assert (first["variant"], first["input"], first["bins"]) == ("a", "friction", 8)
     assert first["information_bits"] == pytest.approx(1.0, abs=0.08)
     assert first["share"] == pytest.approx(1.0, abs=0.08)
     assert (first["rate_lowest"], first["rate_highest"]) == (0.0, 1.0)
     assert (first["lowest_to"], first["highest_from"]) == pytest.approx((0.3, 0.9), abs=0.02)
     for row in found[1:].iter_rows(named=True):
         assert 0.0 <= row["information_bits"] < 3e-3
-    for _, rows in found.group_by("arm"):
+    for _, rows in found.group_by("variant"):
         assert rows["information_bits"].is_sorted(descending=True)
-    heights = found.filter(arm="b", input="step_1_height_m").row(0, named=True)
+    heights = found.filter(variant="b", input="step_1_height_m").row(0, named=True)
     assert (heights["bins"], heights["lowest_to"], heights["highest_from"]) == (3, -0.02, 0.02)
 
 

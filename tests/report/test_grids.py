@@ -18,20 +18,20 @@ from jaxbiped.batch import NEVER, summary
 from jaxbiped.report import figures, grids, tables
 
 T_INI = float(np.float32(1.2))
-ARMS = {"none": 1, "original": 2, "modified": 3}
+VARIANTS = {"none": 1, "original": 2, "modified": 3}
 LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
 FLIPPED = {("original", 1.0, 5.0), ("original", 3.1, 5.0), ("modified", 0.1, 15.0)}
 """Cells that come out otherwise than printed; one of them was not printed."""
 
 
-def as_printed(arm: str) -> dict[tuple[float, float], bool]:
-    return {(t, load): s for load, t, s in tables.thesis_table(ARMS[arm]).iter_rows()}
+def as_printed(variant: str) -> dict[tuple[float, float], bool]:
+    return {(t, load): s for load, t, s in tables.thesis_table(VARIANTS[variant]).iter_rows()}
 
 
-def walk(arm: str, time: float, load: float, success: bool, **more) -> dict:
+def walk(variant: str, time: float, load: float, success: bool, **more) -> dict:
     at = float(np.float32(time + T_INI))  # as a simulation in single precision tells it
     return {
-        "arm": arm,
+        "variant": variant,
         "load_time_s": at,
         "load_kg": load,
         "success": success,
@@ -42,30 +42,30 @@ def walk(arm: str, time: float, load: float, success: bool, **more) -> dict:
 
 @pytest.fixture(scope="module")
 def table() -> pl.DataFrame:
-    """Every arm as the thesis has it, but for the flipped cells; what is not printed succeeds; and an unloaded walk."""
+    """Every variant as in the thesis, but for the flipped cells; what is not printed succeeds; and an unloaded walk."""
     rows = []
-    for arm in ARMS:
-        printed = as_printed(arm)
+    for variant in VARIANTS:
+        printed = as_printed(variant)
         for i in range(48 * 6):
             time, load = round(0.1 * (i // 6 + 1), 1), LOADS[i % 6]
             said = printed.get((time, load), True)
-            rows.append(walk(arm, time, load, said != ((arm, time, load) in FLIPPED), scenario=i))
-        rows.append(walk(arm, 0.0, 0.0, True, scenario=288) | {"load_time_s": 1e6})
-    return pl.DataFrame(rows).sample(fraction=1.0, shuffle=True, seed=2).sort("arm", descending=True)
+            rows.append(walk(variant, time, load, said != ((variant, time, load) in FLIPPED), scenario=i))
+        rows.append(walk(variant, 0.0, 0.0, True, scenario=288) | {"load_time_s": 1e6})
+    return pl.DataFrame(rows).sample(fraction=1.0, shuffle=True, seed=2).sort("variant", descending=True)
 
 
-def only(table: pl.DataFrame, arm: str) -> pl.DataFrame:
-    return table.filter(pl.col("arm") == arm)
+def only(table: pl.DataFrame, variant: str) -> pl.DataFrame:
+    return table.filter(pl.col("variant") == variant)
 
 
-def mesh(figure: Figure, arm: str) -> np.ndarray:
-    (axes,) = [axes for axes in figure.axes if axes.get_title("left") == arm]
+def mesh(figure: Figure, variant: str) -> np.ndarray:
+    (axes,) = [axes for axes in figure.axes if axes.get_title("left") == variant]
     (drawn,) = [c for c in axes.collections if isinstance(c, QuadMesh)]
     return np.ma.filled(np.ma.asarray(drawn.get_array(), dtype=float), np.nan)
 
 
-def outlined(figure: Figure, arm: str) -> set[tuple[int, int]]:
-    (axes,) = [axes for axes in figure.axes if axes.get_title("left") == arm]
+def outlined(figure: Figure, variant: str) -> set[tuple[int, int]]:
+    (axes,) = [axes for axes in figure.axes if axes.get_title("left") == variant]
     corners = [patch.get_xy() for patch in axes.patches if isinstance(patch, Rectangle)]
     return {(math.floor(x), math.floor(y)) for x, y in corners}
 
@@ -86,7 +86,7 @@ def test_thesis_tables_are_as_printed():
 
 def test_tick_table_is_the_thesis_form(table):
     lines = tables.tick_table(only(table, "none"), T_INI).splitlines()
-    assert lines[0] == "arm none"
+    assert lines[0] == "variant none"
     assert lines[1].split() == ["load", "[kg]", "2.5", "5.0", "7.5", "10.0", "12.5", "15.0"]
     assert len(lines) == 3 + 48
     for k, line in enumerate(lines[3:], 1):
@@ -101,13 +101,13 @@ def test_tick_table_shows_shares_and_gaps():
     assert lines[3].index("75%") + 2 == lines[1].index("5.0") + 2 == lines[4].index(tables.NOT_RUN)
 
 
-def test_tables_of_text_are_of_one_arm(table):
+def test_tables_of_text_are_of_one_variant(table):
     for write in (
         tables.tick_table,
         lambda t, o: tables.beside_thesis(t, 2, o),
         lambda t, o: tables.agreement(t, 2, o),
     ):
-        with pytest.raises(ValueError, match="one arm"):
+        with pytest.raises(ValueError, match="one variant"):
             write(table, T_INI)
 
 
@@ -151,7 +151,7 @@ def said_of_5_kg() -> str:
 
 def test_beside_thesis_says_in_one_line_that_nothing_compares():
     said = tables.beside_thesis(pl.DataFrame([walk("a", 0.35, 5.0, True)]), 3, T_INI)
-    assert said == "arm a: no cell of Table 4.3, modified reflex (the grip was chosen on it), was run"
+    assert said == "variant a: no cell of Table 4.3, modified reflex (the grip was chosen on it), was run"
 
 
 def test_a_load_that_never_comes_is_not_in_the_tables():
@@ -184,14 +184,16 @@ def test_agreement_goes_by_the_majority():
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_heat_map_shows_every_cell_and_outlines_what_differs(table, turned):
-    marks = {arm: tables.thesis_table(number) for arm, number in ARMS.items() if arm != "modified"}
+    marks = {
+        variant: tables.thesis_table(number) for variant, number in VARIANTS.items() if variant != "modified"
+    }
     sides = ("load_kg", "load_time_s") if turned else ("load_time_s", "load_kg")
     loaded = table.filter(pl.col("load_kg") > 0)
     figure = grids.heat_map(loaded, *sides, "Payloads", marks, offset_s=T_INI)
-    for arm in ARMS:
-        cells = mesh(figure, arm).T if turned else mesh(figure, arm)
+    for variant in VARIANTS:
+        cells = mesh(figure, variant).T if turned else mesh(figure, variant)
         assert cells.shape == (6, 48)
-        for row in only(loaded, arm).iter_rows(named=True):
+        for row in only(loaded, variant).iter_rows(named=True):
             time = round(10 * (row["load_time_s"] - T_INI)) - 1
             assert cells[LOADS.index(row["load_kg"]), time] == row["success"]
     assert outlined(figure, "none") == set()
@@ -202,7 +204,7 @@ def test_heat_map_shows_every_cell_and_outlines_what_differs(table, turned):
     assert any("load [kg]" in label for label in labels)
 
 
-def test_heat_map_takes_one_table_for_all_arms(table):
+def test_heat_map_takes_one_table_for_all_variants(table):
     loaded = table.filter(pl.col("load_kg") > 0)
     figure = grids.heat_map(loaded, "load_time_s", "load_kg", "", tables.thesis_table(3), offset_s=T_INI)
     assert outlined(figure, "modified") == {(0, 5)}
@@ -237,7 +239,7 @@ def test_heat_map_cuts_what_was_drawn_at_random():
     rng, n = np.random.default_rng(0), 3_000
     load = rng.uniform(0.0, 16.0, n)
     columns = {
-        "arm": ["a"] * n,
+        "variant": ["a"] * n,
         "load_kg": load,
         "friction": rng.choice([0.4, 0.8], n),
         "success": load < 7.0,
@@ -251,13 +253,13 @@ def test_heat_map_cuts_what_was_drawn_at_random():
 @pytest.fixture(scope="module")
 def obstacles() -> pl.DataFrame:
     rng, rows = np.random.default_rng(1), []
-    for arm, most in (("none", 0.01), ("landing", 0.03)):
+    for variant, most in (("none", 0.01), ("landing", 0.03)):
         for height in (-0.02, -0.01, 0.0, 0.01, 0.02, 0.04):
             for friction in (0.4, 0.8):
                 for _ in range(10):
                     force = 800.0 + 4e4 * abs(height) + rng.normal(0, 20)
                     row = {
-                        "arm": arm,
+                        "variant": variant,
                         "step_2_height_m": height,
                         "friction": friction,
                         "success": abs(height) <= most,
@@ -276,38 +278,40 @@ def test_cells_figure_shows_rates_and_the_larger_force(obstacles):
     above, below = figure.axes
     assert below.get_xlabel() == "height under foothold 2 [mm]"
     rates = summary.cells(obstacles, ["step_2_height_m"])
-    for arm, color in (("none", figures.BLUE), ("landing", figures.ORANGE)):
-        wanted = rates.filter(pl.col("arm") == arm)
+    for variant, color in (("none", figures.BLUE), ("landing", figures.ORANGE)):
+        wanted = rates.filter(pl.col("variant") == variant)
         drawn = points(above, color)[:6]
         np.testing.assert_array_equal([x for x, _ in drawn], 1e3 * wanted["step_2_height_m"].to_numpy())
         np.testing.assert_allclose([y for _, y in drawn], wanted["rate"])
-        left = only(obstacles, arm).group_by("step_2_height_m", maintain_order=True).agg("peak_force_left_N")
+        left = (
+            only(obstacles, variant).group_by("step_2_height_m", maintain_order=True).agg("peak_force_left_N")
+        )
         means = left["peak_force_left_N"].list.mean()
         np.testing.assert_allclose([y for _, y in points(below, color)[:6]], means)
         bars = [segment[:, 1] for c in below.collections for segment in c.get_segments()]  # pyright: ignore
         assert any(np.allclose(bar, (min(left.item(0, 1)), max(left.item(0, 1)))) for bar in bars)
 
 
-def look(axes, arm: int) -> list[tuple[float, float, str]]:
-    """Width, size of the markers and their filling of the lines of an arm."""
-    color = (figures.BLUE, figures.ORANGE, figures.GREEN)[arm]
+def look(axes, variant: int) -> list[tuple[float, float, str]]:
+    """Width, size of the markers and their filling of the lines of a variant."""
+    color = (figures.BLUE, figures.ORANGE, figures.GREEN)[variant]
     lines = [one for one in axes.get_lines() if to_hex(one.get_color()) == to_hex(color)]
     lines = [one for one in lines if one.get_marker() != "_"]  # but the ends of error bars
     return [(one.get_linewidth(), one.get_markersize(), one.get_markerfacecolor()) for one in lines]
 
 
-def test_arms_that_coincide_are_told_apart(obstacles):
+def test_variants_that_coincide_are_told_apart(obstacles):
     """They stand on each other, each narrower and smaller than the one under it, and none is filled."""
     one = only(obstacles, "none")
-    alike = pl.concat([one.with_columns(arm=pl.lit(arm)) for arm in ("a", "b", "c")])
+    alike = pl.concat([one.with_columns(variant=pl.lit(variant)) for variant in ("a", "b", "c")])
     limits = summary.frontier(alike, "step_2_height_m", "friction", signed=True)
     drawn = grids.cells_figure(alike, "step_2_height_m", "Alike").axes
     drawn += grids.frontier_figure(limits, "Alike", "step_2_height_m", "friction").axes
     for axes in drawn:
-        looks = [look(axes, arm) for arm in range(3)]
+        looks = [look(axes, variant) for variant in range(3)]
         for below, above in itertools.pairwise(looks):
             assert all(w > v + 0.5 and s > t + 1.0 for (w, s, _), (v, t, _) in zip(below, above, strict=True))
-        assert {fill for of_arm in looks for *_, fill in of_arm} == {"none"}
+        assert {fill for of_variant in looks for *_, fill in of_variant} == {"none"}
         orders = [
             [line.get_zorder() for line in axes.get_lines() if to_hex(line.get_color()) == to_hex(c)]
             for c in (figures.BLUE, figures.ORANGE, figures.GREEN)
@@ -316,8 +320,8 @@ def test_arms_that_coincide_are_told_apart(obstacles):
         np.testing.assert_array_equal(points(axes, figures.BLUE), points(axes, figures.GREEN))
 
 
-def test_twelve_arms_have_twelve_looks_that_are_not_too_wide():
-    looks = [grids._arm_style(i, 12) for i in range(12)]
+def test_twelve_variants_have_twelve_looks_that_are_not_too_wide():
+    looks = [grids._variant_style(i, 12) for i in range(12)]
     assert len({(one["color"], one["ls"]) for one in looks}) == 12
     assert max(one["lw"] for one in looks) < 10.0 and max(one["ms"] for one in looks) < 21.0
 
@@ -326,7 +330,7 @@ def test_points_of_a_cut_input_stand_at_the_means_of_their_values():
     rng, n = np.random.default_rng(0), 500
     load = rng.uniform(0.0, 16.0, n) ** 2 / 16.0
     force = {name: np.full(n, 900.0) for name in grids.FEET}
-    table = pl.DataFrame({"arm": ["a"] * n, "load_kg": load, "success": load < 7.0, **force})
+    table = pl.DataFrame({"variant": ["a"] * n, "load_kg": load, "success": load < 7.0, **force})
     above, below = grids.cells_figure(table, "load_kg", "Cut").axes
     part = np.minimum((load - load.min()) / (load.max() - load.min()) * grids.PARTS, grids.PARTS - 1).astype(
         int
@@ -347,7 +351,7 @@ def test_frontier_figure_shows_limits_and_what_lies_beyond(obstacles):
     assert said == ["none", "landing", "held at every value tested"]
 
 
-def test_frontier_figure_marks_arms_that_fail_at_once(table):
+def test_frontier_figure_marks_variants_that_fail_at_once(table):
     limits = summary.frontier(table.filter(pl.col("load_kg") >= 5.0), levels=(0.95, 0.5))
     figure = grids.frontier_figure(limits, "Loads", offset_s=T_INI)
     assert len(figure.axes) == 2
@@ -357,7 +361,7 @@ def test_frontier_figure_marks_arms_that_fail_at_once(table):
         for line in figure.axes[0].get_lines()
         if line.get_marker() == "x" and np.size(line.get_xdata()) == 48
     ]
-    assert len(crosses) == 1  # the arm without reflex, at every time
+    assert len(crosses) == 1  # the variant without reflex, at every time
     np.testing.assert_allclose(np.asarray(crosses[0].get_xdata()), 0.1 * np.arange(1, 49), atol=1e-6)
     # They have no value: they stand at the panel's edge, under all that has one.
     axes, pixels = figure.axes[0], crosses[0].get_transform().transform(crosses[0].get_xydata())
@@ -368,9 +372,11 @@ def test_limits_stand_at_their_values(table):
     loaded = table.filter(pl.col("load_kg") > 0.0)
     limits = summary.frontier(loaded, levels=(0.95,))
     (axes,) = grids.frontier_figure(limits, "Loads", offset_s=T_INI).axes
-    for arm, color in zip(summary.arms(limits), (figures.BLUE, figures.ORANGE, figures.GREEN), strict=True):
-        wanted = limits.filter(arm=arm).sort("load_time_s").drop_nulls("load_kg")
-        drawn = points(axes, color)[: limits.filter(arm=arm).height]
+    for variant, color in zip(
+        summary.variants(limits), (figures.BLUE, figures.ORANGE, figures.GREEN), strict=True
+    ):
+        wanted = limits.filter(variant=variant).sort("load_time_s").drop_nulls("load_kg")
+        drawn = points(axes, color)[: limits.filter(variant=variant).height]
         np.testing.assert_allclose(
             [x for x, y in drawn if np.isfinite(y)], wanted["load_time_s"] - T_INI, atol=1e-6
         )
@@ -381,7 +387,7 @@ def test_bars_of_limits_are_their_intervals():
     """30 walks at each load: what is sure, and what is too much; an open end runs to the panel's edge."""
     wins = {1.0: {2.0: 30, 4.0: 30, 6.0: 16, 8.0: 2}, 2.0: {2.0: 30, 4.0: 15, 6.0: 15, 8.0: 15}}
     rows = [
-        {"arm": "a", "load_time_s": t, "load_kg": load, "success": i < n}
+        {"variant": "a", "load_time_s": t, "load_kg": load, "success": i < n}
         for t, cell in wins.items()
         for load, n in cell.items()
         for i in range(30)
@@ -398,7 +404,7 @@ def test_bars_of_limits_are_their_intervals():
 
 def test_ticks_of_a_map_are_plain_numbers():
     rows = [
-        {"arm": "a", "push_x_N": push, "com_y_m": shift, "success": True}
+        {"variant": "a", "push_x_N": push, "com_y_m": shift, "success": True}
         for push in (-1500.0, 0.0, 12500.0)
         for shift in (-1e-12, 0.0125)
     ]
@@ -417,8 +423,8 @@ def test_causes_figure_has_a_bar_for_every_input(obstacles):
     found = summary.causes(obstacles)
     figure = grids.causes_figure(found, "Causes")
     assert [axes.get_title("left") for axes in figure.axes] == ["none", "landing"]
-    for axes, arm in zip(figure.axes, ("none", "landing"), strict=True):
-        rows = only(found, arm)
+    for axes, variant in zip(figure.axes, ("none", "landing"), strict=True):
+        rows = only(found, variant)
         assert [label.get_text() for label in axes.get_yticklabels()] == [
             "height under foothold 2",
             "friction",

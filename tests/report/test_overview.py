@@ -18,7 +18,7 @@ from jaxbiped import batch, planner, robot
 from jaxbiped.adapt import Controller
 from jaxbiped.report import overview, page, tables
 
-ARMS = ("off", "original", "modified")
+VARIANTS = ("off", "original", "modified")
 T_INI = float(np.float32(1.2))
 
 
@@ -33,10 +33,10 @@ def polynomial() -> planner.PolynomialGait:
 
 
 def experiment(
-    scenarios: pl.DataFrame, arms: tuple[str, ...] = ARMS, params: Any = None, gait: Any = None
+    scenarios: pl.DataFrame, variants: tuple[str, ...] = VARIANTS, params: Any = None, gait: Any = None
 ) -> batch.Experiment:
     params, gait = params or robot.load("elkahlout"), gait or cosine()
-    return batch.Experiment(params, {arm: Controller(gait) for arm in arms}, scenarios)
+    return batch.Experiment(params, {variant: Controller(gait) for variant in variants}, scenarios)
 
 
 def loads(*masses: float, times: tuple[float, ...]) -> pl.DataFrame:
@@ -46,7 +46,9 @@ def loads(*masses: float, times: tuple[float, ...]) -> pl.DataFrame:
 def results(one: batch.Experiment, **changes: Any) -> pl.DataFrame:
     """A table as if every walk had succeeded; a change is a value for all rows or a list with one for each."""
     scenarios = one.table.with_row_index("scenario").with_columns(pl.col("scenario").cast(pl.Int64))
-    table = pl.concat([scenarios.with_columns(arm=pl.lit(arm)) for arm in one.arms]).with_row_index("row")
+    table = pl.concat(
+        [scenarios.with_columns(variant=pl.lit(variant)) for variant in one.variants]
+    ).with_row_index("row")
     outcome: dict[str, Any] = {
         **{"status": "ok", "success": True, "finished": True, "end_time_s": 9.0, "reflexes": 0},
         **{"trigger_s": None, "peak_roll_deg": 1.0, "peak_pitch_deg": 2.0, "zmp_margin_m": -6.035e-08},
@@ -57,7 +59,7 @@ def results(one: batch.Experiment, **changes: Any) -> pl.DataFrame:
         pl.Series(name, value if isinstance(value, list) else [value] * table.height)
         for name, value in outcome.items()
     ]
-    first = table.select(pl.col("row").cast(pl.Int64), "arm", pl.exclude("row", "arm"))
+    first = table.select(pl.col("row").cast(pl.Int64), "variant", pl.exclude("row", "variant"))
     return first.with_columns(columns)
 
 
@@ -88,7 +90,7 @@ SUCCESSES = [True, True, True, True, False, False, False]
 
 @pytest.fixture(scope="module")
 def mixed() -> tuple[batch.Experiment, pl.DataFrame]:
-    """Seven walks of one arm: every status there is, as a success and not."""
+    """Seven walks of one variant: every status there is, as a success and not."""
     one = experiment(pl.DataFrame({"friction": [0.1 * i for i in range(2, 9)]}), ("modified",))
     return one, results(one, status=STATUSES, success=SUCCESSES)
 
@@ -111,7 +113,7 @@ def test_walks_that_fell_after_their_success_are_counted_where_success_is(mixed)
         assert "1 walk succeeded by the rule and came to numbers that are not finite afterwards" in said
 
 
-def test_walks_that_fell_afterwards_are_counted_by_arm():
+def test_walks_that_fell_afterwards_are_counted_by_variant():
     one = experiment(pl.DataFrame({"friction": [0.4, 0.8]}))
     sections = overview.sections(one, results(one, status=["fell", "fell", "ok", "ok", "fell", "ok"]))
     said = "3 walks succeeded by the rule and fell afterwards: off 2, modified 1."
@@ -194,7 +196,7 @@ def test_where_nothing_compares_one_line_says_so():
     one = experiment(loads(3.0, 4.0, times=(0.35, 1.25)))
     table = results(one)
     part = section(overview.sections(one, table), "Loads")
-    assert "Table 4.1 (calibration), arm off: no cell of it was run." in part.paragraphs
+    assert "Table 4.1 (calibration), variant off: no cell of it was run." in part.paragraphs
     assert "outlined" not in words(part) and "0 of 0" not in words(part)
     assert all(isinstance(text, str) and "|" not in text and "0.35" in text for text in part.tables)
     agreed = overview.agreements(one, table)["modified"]
@@ -248,8 +250,8 @@ def test_the_clock_is_the_thesis_only_where_a_gait_has_one():
 
 
 KINDS = (
-    *("one load", "one time", "one cell", "one row", "no row", "nothing varied", "an arm without a walk"),
-    *("arms without a scenario in common", "no walk of an arm finished", "no numbers", "infinite"),
+    *("one load", "one time", "one cell", "one row", "no row", "nothing varied", "a variant without a walk"),
+    *("variants without a scenario in common", "no walk of a variant finished", "no numbers", "infinite"),
     *("pads without numbers", "pads", "drawn", "loads that never come"),
 )
 
@@ -285,12 +287,12 @@ def odd_tables() -> dict[str, tuple[batch.Experiment, pl.DataFrame]]:
         "one row": (nothing, results(nothing).head(1)),
         "no row": (grid, results(grid).head(0)),
         "nothing varied": (nothing, results(nothing)),
-        "an arm without a walk": (grid, some.filter(pl.col("arm") != "original")),
-        "arms without a scenario in common": (
+        "a variant without a walk": (grid, some.filter(pl.col("variant") != "original")),
+        "variants without a scenario in common": (
             grid,
-            some.filter((pl.col("arm") == "off") == (pl.col("scenario") < 2)),
+            some.filter((pl.col("variant") == "off") == (pl.col("scenario") < 2)),
         ),
-        "no walk of an arm finished": (
+        "no walk of a variant finished": (
             grid,
             results(grid, finished=False, success=[i >= 4 for i in range(12)], status="unfinished"),
         ),
@@ -330,13 +332,13 @@ def test_one_load_or_one_time_makes_a_grid_and_other_inputs_do_not():
 
 
 def test_what_has_not_finished_is_said():
-    one, table = odd_tables()["an arm without a walk"]
+    one, table = odd_tables()["a variant without a walk"]
     assert (
         "No walk of original has finished so far."
         in section(overview.sections(one, table), "Success").paragraphs
     )
     assert set(overview.agreements(one, table)) == {"off", "modified"}
-    apart = section(overview.sections(*odd_tables()["arms without a scenario in common"]), "Success")
+    apart = section(overview.sections(*odd_tables()["variants without a scenario in common"]), "Success")
     assert "modified and off have no scenario in common so far." in apart.paragraphs
 
 
@@ -348,5 +350,5 @@ def test_causes_are_told_in_units():
     assert ends["friction"] == ("0.4", "0.8")
 
 
-def test_thesis_tables_are_those_of_the_arms():
+def test_thesis_tables_are_those_of_the_variants():
     assert set(overview.THESIS.values()) == set(tables.THESIS_TABLES)

@@ -60,7 +60,7 @@ def figure() -> Figure:
 
 
 TABLE = pl.DataFrame(
-    {"arm": [HOSTILE, None], "rate": [0.123456789, None], "n": [1234567, 2], "success": [True, False]}
+    {"variant": [HOSTILE, None], "rate": [0.123456789, None], "n": [1234567, 2], "success": [True, False]}
 )
 SECTIONS = [
     page.Section("One", ["First words.", "Second words."], [TABLE], [page.Picture(figure(), "A line")]),
@@ -116,7 +116,7 @@ def test_hostile_text_stays_text_wherever_it_stands(written):
 
 def test_tables_show_every_value_and_text_keeps_its_spaces(written):
     reader = read(written)
-    assert reader.said_in("th") == ["arm", "rate", "n", "success"]
+    assert reader.said_in("th") == ["variant", "rate", "n", "success"]
     assert reader.said_in("td") == [
         HOSTILE,
         "0.123",

@@ -33,7 +33,7 @@ from jaxbiped.report import quantities
         ("row", 12345678, "12345678"),
         ("success", True, "yes"),
         ("success", False, "no"),
-        ("arm", "off", "off"),
+        ("variant", "off", "off"),
         ("trigger_s", None, quantities.NOTHING),
         ("peak_pitch_deg", math.nan, quantities.NOTHING),
         ("zmp_margin_m", math.inf, "infinite"),

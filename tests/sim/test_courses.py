@@ -34,12 +34,12 @@ Rows = dict[tuple[str, str], dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def rows() -> Rows:
-    """One batch an arm, of the same shape."""
+    """One batch a variant, of the same shape."""
     one = courses.setup()
     chosen = [course for course in courses.courses() if course.name in (*SURVIVED, HOLE)]
     assert len(chosen) == len(SURVIVED) + 1
-    walked = [row for arm in courses.ARMS for row in courses.walk_all(one, arm, chosen)]
-    return {(row["arm"], row["course"]): row for row in walked}
+    walked = [row for variant in courses.VARIANTS for row in courses.walk_all(one, variant, chosen)]
+    return {(row["variant"], row["course"]): row for row in walked}
 
 
 @pytest.mark.parametrize("course", SURVIVED)
@@ -52,7 +52,7 @@ def test_repaired_landing_survives_with_bounded_force(rows: Rows, course: str):
 
 @pytest.mark.parametrize("course", SINGLES)
 def test_paper_hits_the_ground_at_least_twice_as_hard(rows: Rows, course: str):
-    paper, repaired = (rows[arm, course]["peak_foot_force_N"] for arm in ("paper", "repaired"))
+    paper, repaired = (rows[variant, course]["peak_foot_force_N"] for variant in ("paper", "repaired"))
     assert paper >= 2.0 * repaired
 
 
@@ -62,8 +62,8 @@ def test_without_adaptation_the_papers_experiment_ends_in_a_fall(rows: Rows):
 
 def test_ground_beyond_reach_is_counted_and_ends_in_a_fall(rows: Rows):
     assert rows["repaired", HOLE]["missed"] >= 1
-    for arm in courses.ARMS:
-        row = rows[arm, HOLE]
+    for variant in courses.VARIANTS:
+        row = rows[variant, HOLE]
         assert row["status"] == "fell"
         assert all(np.isfinite(value) for value in row.values() if isinstance(value, (int, float)))
 

@@ -16,8 +16,8 @@ def surena():
     return params, planner.PolynomialGait.preset(params, N_STEPS)
 
 
-def walked(params, arms, scenarios) -> pl.DataFrame:
-    one = Experiment(params, arms, scenarios)
+def walked(params, variants, scenarios) -> pl.DataFrame:
+    one = Experiment(params, variants, scenarios)
     return pl.concat([part.walk_chunk(one, chunk) for chunk in one.chunks])
 
 
@@ -58,8 +58,8 @@ def test_switches_that_close_on_the_ground_walk_as_those_of_1_mm(surena, name):
     make = {"repaired": adapt.Landing.repaired, "paper": adapt.Landing.paper}[name]
     rows = {}
     for delta_z in (0.0, 1e-3):
-        arm = {name: adapt.Controller(gait, landing=make(delta_z=delta_z))}
-        table = walked(params, arm, grid(delta_z_m=delta_z, step_2_height_m=[0.0, 0.02, -0.02]))
+        variant = {name: adapt.Controller(gait, landing=make(delta_z=delta_z))}
+        table = walked(params, variant, grid(delta_z_m=delta_z, step_2_height_m=[0.0, 0.02, -0.02]))
         numbers = table.select(pl.col(pl.Float64).exclude("trigger_s")).to_numpy()
         assert np.isfinite(numbers).all()
         rows[delta_z] = table

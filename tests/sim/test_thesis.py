@@ -69,7 +69,7 @@ def unloaded(name: str, n: int, seed: int, variants: tuple[str, ...]) -> pl.Data
     params = robot.load(name)
     gait = {"elkahlout": CosineGait, "surena3": PolynomialGait}[name].preset(params, STEPS)
     landing = Landing.repaired() if name == "surena3" else None
-    arms = {
+    controllers = {
         variant: Controller(gait, landing=landing, payload=getattr(PayloadReflex, variant)(params, gait))
         for variant in variants
     }
@@ -86,7 +86,7 @@ def unloaded(name: str, n: int, seed: int, variants: tuple[str, ...]) -> pl.Data
         sinkage_m=Uniform(1e-4, 2e-4),
     )
     options = choices.simulation_options(params, gait)
-    one = batch.Experiment(params, arms, scenarios, options, duration=float(gait.duration) + 0.5)
+    one = batch.Experiment(params, controllers, scenarios, options, duration=float(gait.duration) + 0.5)
     return pl.concat([part.walk_chunk(one, chunk) for chunk in one.chunks])
 
 

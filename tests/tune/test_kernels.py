@@ -552,7 +552,7 @@ TABLE = {
     "left, both stand": 0.008,
     "right, both stand": -0.006,
 }
-"""Entries of x_reflex [m]. The modified arm's 0 while both feet stand is a kink: a step is as long as it is missing."""
+"""Entries of x_reflex [m]. The modified one's 0 while both feet stand is a kink: a step is as long as it is missing."""
 SPANS = {
     "threshold": 40.0,
     "force_time_constant": 0.1,
@@ -595,19 +595,19 @@ def undisturbed(*machines: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("arm", "kind", "name"),
+    ("variant", "kind", "name"),
     [
         ("modified", "cosine", "elkahlout"),
         ("repaired", "polynomial", "surena3"),
     ],
 )
-def test_payload_stage(x64, arm, kind, name):
+def test_payload_stage(x64, variant, kind, name):
     """A load felt while the left foot swings, while the right one does, while both stand; until the walk goes on."""
     biped = robot.load(name)
     gait = preset(kind, biped, 3)
     given = {"threshold": 40.0, "zmp_balanced": -0.03, "settling_time": 1.0}
-    base = getattr(PayloadReflex, arm)(
-        biped, gait, **given, **({"x_stand": 0.02} if arm == "repaired" else {})
+    base = getattr(PayloadReflex, variant)(
+        biped, gait, **given, **({"x_stand": 0.02} if variant == "repaired" else {})
     )
     timing = gait.timing
     loads = [float(timing.liftoff(k) + s * timing.T_s) for k, s in ((0, 0.37), (1, 0.37), (0, 1.03))]
@@ -701,8 +701,8 @@ LANDINGS = {
 """Parameters of the landing; T_mod is shorter than the T* of both, which otherwise stands in its place."""
 
 
-@pytest.mark.parametrize("arm", ["paper", "repaired"])
-def test_landing_stage(x64, arm):
+@pytest.mark.parametrize("variant", ["paper", "repaired"])
+def test_landing_stage(x64, variant):
     """An advance landing and a retard one, kept and released. The foot is where it is commanded to be.
 
     Its way over a tick is the parabola that the command goes on by, so that a switch that closes in the tick says when,
@@ -710,7 +710,7 @@ def test_landing_stage(x64, arm):
     """
     biped = robot.load("surena3")
     gait = preset("polynomial", biped, 4)
-    base = getattr(Landing, arm)(T_mod=jnp.asarray(LANDINGS["T_mod"]))
+    base = getattr(Landing, variant)(T_mod=jnp.asarray(LANDINGS["T_mod"]))
     faults, timing = Scenario.flat(1).sensors, gait.timing
     ticks = int(float(timing.liftoff(3)) / DT)
 
@@ -770,7 +770,7 @@ def test_landing_stage(x64, arm):
         np.testing.assert_allclose(by["delta_x_scale"][i, end[i], foot, 0], wanted, rtol=1e-9)
         assert most("release_share", out) > 1e-2
         assert (most("descent_speed", own, foot) > 1e-2) == is_late
-        assert (most("descent_acceleration", own, foot) > 1e-3) == (is_late and arm == "repaired")
+        assert (most("descent_acceleration", own, foot) > 1e-3) == (is_late and variant == "repaired")
         stands = by["ground"][i, end[i], foot, 2]
         np.testing.assert_allclose(stands, 1.0 if base.interpolate else 0.0, rtol=0.02)
         if not is_late:

@@ -38,5 +38,5 @@ def test_every_cell_runs(tmp_path, monkeypatch, capsys):
     for cell in others:
         exec(cell, names)
     out = capsys.readouterr().out
-    assert "forward" in out and "arm tuned" in out
+    assert "forward" in out and "variant tuned" in out
     assert names["table"].height == 4 and len(names["tuned"].values) == 2

@@ -46,14 +46,14 @@ def test_a_loss_that_does_not_depend_on_it_has_no_jumps():
 ALLOWED: dict[tuple[str, str], int] = {}
 """Jumps that are left, by case and tunable; where none is named, none."""
 LITERAL = ("original", "modified")
-"""Arms whose velocity step is larger than the servos can follow: what they make of a part of it is no part of what they
-make of the whole, so that forward mode has the slope of a tooth."""
+"""Variants whose velocity step is larger than the servos can follow: what they make of a part of it is no part of what
+they make of the whole, so that forward mode has the slope of a tooth."""
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in sweep.problems()]
 
 
 @pytest.mark.parametrize("name", SLOW)
 def test_losses_do_not_jump_over_three_ticks(name):
-    """Of every tunable of every named arm, in short walks around one event; the numbers are printed."""
+    """Of every tunable of every named variant, in short walks around one event; the numbers are printed."""
     make, row = sweep.problems()[name]
     with jax.enable_x64(True):
         problem = make()

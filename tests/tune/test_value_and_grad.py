@@ -55,7 +55,7 @@ def test_the_gradient_of_the_example_is_that_of_central_differences(example_in_f
         ({"names": ["landing.h"]}, "tunable: got 'landing.h', allowed: landing.T_mod"),
         ({"names": ["landing.T_mod", "landing.T_mod"]}, "each once"),
         ({"names": []}, "at least one"),
-        ({"arm": "paper"}, "arm: got 'paper', allowed: repaired"),
+        ({"variant": "paper"}, "variant: got 'paper', allowed: repaired"),
         ({"at": [0.1, 0.2]}, "at: got [0.1, 0.2], allowed: 1 finite numbers"),
         ({"at": [jnp.nan]}, "allowed: 1 finite numbers"),
         ({"rows": [7]}, "rows: got [7], allowed: numbers from 0 to 1"),

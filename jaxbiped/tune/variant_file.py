@@ -1,4 +1,4 @@
-"""A tuned arm as a TOML file that every command accepts, with where it came from."""
+"""A tuned variant as a TOML file that every command accepts, with where it came from."""
 
 from collections.abc import Mapping
 from importlib import metadata
@@ -8,12 +8,12 @@ from jaxbiped.adapt import tunables
 from jaxbiped.tune.descent import Tuned
 
 
-def arm_file(tuned: Tuned, start: Mapping[str, Mapping[str, Any]], made_by: str) -> str:
-    """Text of the file: the tables of the arm it started from, with the tuned values in them.
+def variant_file(tuned: Tuned, start: Mapping[str, Mapping[str, Any]], made_by: str) -> str:
+    """Text of the file: the tables of the variant it started from, with the tuned values in them.
 
     Args:
         tuned: the outcome of a descent.
-        start: tables of the arm it started from: `base`, the name of an arm, and parameters, by stage (`landing`,
+        start: tables of the variant it started from: `base`, a variant's name, and parameters, by stage (`landing`,
             `payload`); parameters of the gait.
         made_by: command that made it.
     """
