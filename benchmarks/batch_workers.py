@@ -20,7 +20,7 @@ def experiment(duration: float) -> jb.batch.Experiment:
     """Walks of equal length; what happens in them does not matter for the rate."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 8)
-    variants = {"repaired": jb.adapt.Controller(gait, landing=jb.adapt.Landing.repaired())}
+    variants = {"repaired": jb.adapt.Controller(gait, jb.adapt.Landing.repaired())}
     scenarios = jb.batch.draw(
         CHUNKS * LANES, 1, step_2_height_m=Uniform(-0.03, 0.03), friction=Uniform(0.5, 1.0)
     )

@@ -37,7 +37,7 @@ def problem(count: int, lanes: int, duration: float) -> Problem:
     """The first `count` tunables, and a load at any time of the first step."""
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
-    variant = jb.adapt.Controller(gait, payload=jb.adapt.PayloadReflex.modified(robot, gait))
+    variant = jb.adapt.Controller(gait, jb.adapt.PayloadReflex.modified(robot, gait))
     options = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
     scenarios = jb.batch.draw(
         lanes, 1, load_kg=jb.batch.Uniform(2.0, 12.0), load_time_s=jb.batch.Uniform(1.5, 3.0)

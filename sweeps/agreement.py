@@ -268,7 +268,9 @@ def set_up(name: str, variant: str) -> tuple[robot.RobotParams, Controller, Opti
     params = robot.load(name)
     gait = choices.make_gait(params, choices.own_gait(params), STEPS[name])
     controller = Controller(
-        gait, landing=choices.landing_of(landing), payload=choices.reflex_of(payload, params, gait)
+        gait,
+        choices.stage_of("landing", landing, params, gait),
+        choices.stage_of("payload", payload, params, gait),
     )
     return params, controller, choices.simulation_options(params, gait) if options == THESIS else Options()
 
@@ -330,7 +332,7 @@ def ours(params: robot.RobotParams, controller: Controller, batch: Scenario, opt
 def columns(walks: Walk) -> Columns:
     """What is compared, of walks with a leading axis."""
     s = jax.tree.map(np.asarray, walks.statistics)
-    reflex = None if walks.controller is None else walks.controller.payload
+    signals = None if walks.controller is None else walks.controller.signals
     none = np.zeros(len(s.status))
     return {
         "status": s.status,
@@ -338,8 +340,8 @@ def columns(walks: Walk) -> Columns:
         "tilt_deg": np.rad2deg(s.peak_roll_pitch.max(axis=1)),
         "force_N": s.peak_foot_force.max(axis=1),
         "slip_mm": 1e3 * s.peak_slip.max(axis=1),
-        "reflexes": none if reflex is None else np.asarray(reflex.reflexes),
-        "reflex_time_s": none if reflex is None else np.asarray(reflex.trigger_time),
+        "reflexes": none if signals is None else np.asarray(signals.interruptions),
+        "reflex_time_s": none if signals is None else np.asarray(signals.interrupted_time),
     }
 
 

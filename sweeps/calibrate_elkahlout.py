@@ -61,7 +61,7 @@ class Walker:
         robot = jb.robot.load("elkahlout")
         gait = jb.planner.CosineGait.preset(robot, STEPS)
         reflex = None if name == "off" else getattr(PayloadReflex, name)(robot, gait)
-        controller = Controller(gait, payload=reflex)
+        controller = Controller(gait, reflex)
         options = jb.sim.Options(dt=dt, feed_forward=False, control_every=1, payload_model="thesis")
         simulation = jb.sim.prepare(robot, controller, options)
         ticks = simulation.ticks(watch_time(controller, 1))

@@ -150,7 +150,7 @@ def scenarios(one: Setup, chosen: list[Course]) -> list[jb.sim.Scenario]:
 
 def walk_all(one: Setup, variant: str, chosen: list[Course]) -> list[Row]:
     """Walk all courses at once on the compliant ground."""
-    controller = jb.adapt.Controller(one.gait, landing=VARIANTS[variant])
+    controller = jb.adapt.Controller(one.gait, VARIANTS[variant])
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios(one, chosen))
     done = jax.tree.map(np.asarray, jb.sim.prepare(one.robot, controller).run_many(batch, one.duration))
     lanes = [jax.tree.map(lambda leaf, i=i: leaf[i], done) for i in range(len(chosen))]
@@ -162,7 +162,7 @@ def walk_all(one: Setup, variant: str, chosen: list[Course]) -> list[Row]:
 
 def walk_in_c(one: Setup, variant: str, chosen: list[Course]) -> list[Row]:
     """Walk them one by one in C MuJoCo, on its own contacts."""
-    controller = jb.adapt.Controller(one.gait, landing=VARIANTS[variant])
+    controller = jb.adapt.Controller(one.gait, VARIANTS[variant])
     rows = []
     for course, scenario in zip(chosen, scenarios(one, chosen), strict=True):
         walk = jb.sim.replay_c(one.robot, controller, scenario, one.duration)
@@ -172,7 +172,7 @@ def walk_in_c(one: Setup, variant: str, chosen: list[Course]) -> list[Row]:
 
 
 def _missed(walk: jb.sim.Walk) -> Any:
-    landing = None if walk.controller is None else walk.controller.landing
+    landing = None if walk.controller is None else walk.controller.stages.get("landing")
     return jnp.zeros((), jnp.int32) if landing is None else landing.missed
 
 

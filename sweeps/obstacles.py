@@ -41,8 +41,8 @@ def experiment() -> jb.batch.Experiment:
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
     variants = {
         "off": Controller(gait),
-        "paper": Controller(gait, landing=Landing.paper()),
-        "repaired": Controller(gait, landing=Landing.repaired()),
+        "paper": Controller(gait, Landing.paper()),
+        "repaired": Controller(gait, Landing.repaired()),
     }
     return jb.batch.Experiment(robot, variants, scenarios())
 

@@ -31,8 +31,8 @@ def experiment() -> jb.batch.Experiment:
     gait = jb.planner.CosineGait.preset(robot, STEPS)
     variants = {
         "off": Controller(gait),
-        "original": Controller(gait, payload=PayloadReflex.original(robot, gait)),
-        "modified": Controller(gait, payload=PayloadReflex.modified(robot, gait)),
+        "original": Controller(gait, PayloadReflex.original(robot, gait)),
+        "modified": Controller(gait, PayloadReflex.modified(robot, gait)),
     }
     start = float(gait.params.T_ini)
     scenarios = jb.batch.grid(

@@ -27,16 +27,16 @@ def main() -> None:
     ).parse_args()
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
-    controller = Controller(gait, landing=Landing.repaired(), payload=PayloadReflex.repaired(robot, gait))
+    controller = Controller(gait, Landing.repaired(), PayloadReflex.repaired(robot, gait))
     cases = [(load, time) for load in LOADS for time in TIMES]
     scenarios = [jb.sim.Scenario.flat(1).with_payload(load, time) for load, time in cases]
     batch = jax.tree.map(lambda *leaf: jnp.stack(leaf), *scenarios)
     duration = float(gait.duration) + LONGEST_RECOVERY
     walks = jb.sim.prepare(robot, controller).run_many(batch, duration)
     judged = jb.runtime.jit(jax.vmap(lambda walk, scenario: judge(walk, gait, scenario)))(walks, batch)
-    assert walks.controller is not None and walks.controller.payload is not None
+    assert walks.controller is not None and "payload" in walks.controller.stages
     s, reflex, success = jax.tree.map(
-        np.asarray, (walks.statistics, walks.controller.payload, judged.success)
+        np.asarray, (walks.statistics, walks.controller.stages["payload"], judged.success)
     )
     for i, (load, time) in enumerate(cases):
         roll, pitch = np.degrees(s.peak_roll_pitch[i])

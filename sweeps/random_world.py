@@ -57,7 +57,7 @@ def experiment(name: str, n: int, seed: int, duration: float | None) -> jb.batch
     reflex = PayloadReflex.repaired(robot, gait)
     variants = {
         "off": Controller(gait),
-        "repaired": Controller(gait, landing=Landing.repaired(), payload=reflex),
+        "repaired": Controller(gait, Landing.repaired(), reflex),
     }
     return jb.batch.Experiment(robot, variants, scenarios, jb.sim.Options(), duration=duration, seed=seed)
 

@@ -49,7 +49,7 @@ def problem(variant: str, n: int, duration: float) -> Problem:
     """A robot with a variant in random scenarios: pads and holes, or loads."""
     if variant == "landing":
         robot = jb.robot.load("surena3")
-        controller = Controller(jb.planner.PolynomialGait.preset(robot, 6), landing=Landing.repaired())
+        controller = Controller(jb.planner.PolynomialGait.preset(robot, 6), Landing.repaired())
         heights = tuple(float(h) for h in np.linspace(-0.04, 0.04, 33) if abs(h) > 0.004)
         scenarios = jb.batch.draw(n, 1, step_1_height_m=Choice(heights), friction=Uniform(0.6, 1.0))
         return Problem.of(
@@ -57,7 +57,7 @@ def problem(variant: str, n: int, duration: float) -> Problem:
         )
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
-    controller = Controller(gait, payload=getattr(PayloadReflex, variant)(robot, gait))
+    controller = Controller(gait, getattr(PayloadReflex, variant)(robot, gait))
     grip = choices.floor_friction(robot, gait)
     scenarios = jb.batch.draw(n, 1, load_kg=Uniform(3.0, 8.0), load_time_s=Uniform(1.5, 3.5), friction=grip)
     experiment = jb.batch.Experiment(robot, {variant: controller}, scenarios, THESIS, duration=duration)
@@ -96,7 +96,7 @@ def single() -> None:
     """Two walks, every number."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 4)
-    variant = Controller(gait, landing=Landing.repaired())
+    variant = Controller(gait, Landing.repaired())
     scenarios = jb.batch.grid(step_1_height_m=HEIGHTS)
     one = Problem.of(jb.batch.Experiment(robot, {"repaired": variant}, scenarios, duration=5.8), SINGLE)
     rows = np.arange(len(HEIGHTS))

@@ -34,7 +34,7 @@ def main() -> None:
     batch, duration = scenarios(robot, gait), float(gait.duration) + 0.5
     print("variant       height  status     end   roll  pitch  force [N]  slip [mm]")
     for name, landing in VARIANTS.items():
-        simulation = jb.sim.prepare(robot, jb.adapt.Controller(gait, landing=landing))
+        simulation = jb.sim.prepare(robot, jb.adapt.Controller(gait, landing))
         stats = jax.tree.map(np.asarray, simulation.run_many(batch, duration).statistics)
         for i, height in enumerate(HEIGHTS):
             roll, pitch = np.degrees(stats.peak_roll_pitch[i])

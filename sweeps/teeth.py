@@ -47,7 +47,7 @@ def payload(variant: str, names: Any = ("payload",)) -> Problem:
     reflex = getattr(PayloadReflex, base)(robot, gait, **numbers)
     experiment = jb.batch.Experiment(
         robot,
-        {variant: Controller(gait, payload=reflex)},
+        {variant: Controller(gait, reflex)},
         jb.batch.grid(load_kg=(LOAD,), load_time_s=(LOAD_TIME,)),
         THESIS,
         duration=4.2 if base != "repaired" else 5.0,
@@ -59,7 +59,7 @@ def landing(variant: str, names: Any = ("landing",)) -> Problem:
     """surena3 with a landing variant, onto a pad and into a hole under its second step, until the next one lands."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 4)
-    controller = Controller(gait, landing=getattr(Landing, variant.split(",")[0])(**LANDINGS[variant]))
+    controller = Controller(gait, getattr(Landing, variant.split(",")[0])(**LANDINGS[variant]))
     scenarios = jb.batch.grid(step_1_height_m=(PAD, -PAD))
     duration = float(gait.timing.touchdown(2)) + 0.2
     experiment = jb.batch.Experiment(robot, {variant: controller}, scenarios, duration=duration)

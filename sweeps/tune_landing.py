@@ -95,7 +95,7 @@ def main() -> None:
     arguments = parser.parse_args()
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, STEPS)
-    variants = {name: Controller(gait, landing=getattr(Landing, name)()) for name in STARTS}
+    variants = {name: Controller(gait, getattr(Landing, name)()) for name in STARTS}
     settings = Settings(steps=arguments.steps, scenarios=arguments.batch, rate=0.1)
     for name in arguments.start:
         on, held_out = (to_tune_on(robot, variants[name], arguments.scenarios, seed) for seed in (1, 1001))

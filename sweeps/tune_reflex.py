@@ -68,7 +68,7 @@ MEANS = (pl.col("peak_pitch_deg"), pl.col("peak_roll_deg"), pl.col("end_time_s")
 def controllers(robot: Any, names: Sequence[str], steps: int) -> dict[str, Controller]:
     """The variants it starts from."""
     gait = jb.planner.CosineGait.preset(robot, steps)
-    return {name: Controller(gait, payload=getattr(PayloadReflex, name)(robot, gait)) for name in names}
+    return {name: Controller(gait, getattr(PayloadReflex, name)(robot, gait)) for name in names}
 
 
 def to_tune_on(

@@ -48,13 +48,13 @@ def test_the_variant_that_is_written_is_read_again(tmp_path):
     variant: Any = load_variant("--variant", path, problem.experiment.robot, problem.controller.gait)
     np.testing.assert_allclose(
         [
-            *(getattr(variant.landing.params, t.field) for t in problem.tunables[:-1]),
+            *(getattr(variant.stage("landing").params, t.field) for t in problem.tunables[:-1]),
             variant.gait.params.H_max,
         ],
         values,
         rtol=1e-6,
     )
-    assert variant.landing.params.no_undershoot and variant.payload is None
+    assert variant.stage("landing").params.no_undershoot and variant.stage("payload") is None
 
 
 def test_tuning_goes_on_from_a_file(tmp_path):
@@ -66,12 +66,12 @@ def test_tuning_goes_on_from_a_file(tmp_path):
     command = command_tune.Tune(what=("payload.settling_time", "gait.b_s"), scenarios=2, variant=str(first))
     problem, _, start = command_tune.set_up(command)
     before: Any = problem.controller
-    assert before.payload.params.reflex_time == pytest.approx(0.3)
+    assert before.stage("payload").params.reflex_time == pytest.approx(0.3)
     values, score = problem.start * 1.1, {"loss": 1.0, "success": 0.5}
     tuned = tune.Tuned(problem, tune.Settings(), values, score, score, Descent(best={"step": 3}))
     second.write_text(tune.variant_file(tuned, start, "jaxbiped tune"))
     variant: Any = load_variant("--variant", second, problem.experiment.robot, problem.controller.gait)
-    params = variant.payload.params
+    params = variant.stage("payload").params
     assert params.settling_time == pytest.approx(4.4) and params.reflex_time == pytest.approx(0.3)
     assert variant.gait.params.b_s == pytest.approx(1.1 * float(before.gait.params.b_s))
     assert params.smooth_resume is True and not params.smooth_reflex

@@ -62,7 +62,7 @@ def test_own_gait_and_settings_of_each_robot():
 def test_variants(obstacles, payload, variants, expected):
     setup = made(obstacles=obstacles, payload=payload, variants=variants)
     assert setup.variants == expected
-    landing, reflex = setup.controller.landing, setup.controller.payload
+    landing, reflex = setup.controller.stage("landing"), setup.controller.stage("payload")
     assert (landing is None) == (expected.landing == "off")
     assert (reflex is None) == (expected.reflex == "off")
     if landing is not None:
@@ -79,8 +79,8 @@ def test_the_file_of_an_variant_brings_its_own_gait(tmp_path):
         "allow_infeasible = true\n[origin]\nsteps = 3\n"
     )
     setup = made(payload="10@2.4", variants=str(file))
-    assert setup.variants == Variants("off", str(file)) and setup.controller.landing is None
-    reflex = setup.controller.payload
+    assert setup.variants == Variants("off", str(file)) and setup.controller.stage("landing") is None
+    reflex = setup.controller.stage("payload")
     assert reflex is not None and float(reflex.params.reflex_time) == pytest.approx(0.3)
     assert setup.gait is setup.controller.gait
     assert float(setup.gait.params.b_s) == pytest.approx(0.09) != float(made().gait.params.b_s)

@@ -10,13 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from jaxbiped import adapt
-from jaxbiped.adapt import landing, payload
+from jaxbiped.adapt.parameters import declared as declared_by
 from jaxbiped.commands.choices import load_variant, make_gait, variant_tables
 from jaxbiped.commands.common import InputError, load_robot
 
 write_value = importlib.import_module(
     "jaxbiped.tune.variant_file"
 )._toml  # as files of tuned controllers are written
+OF_LANDING, OF_REFLEX = declared_by(adapt.Landing), declared_by(adapt.PayloadReflex)
 VARIANT_FILE = """
 [landing]
 base = "repaired"
@@ -64,7 +65,7 @@ def refusal(folder: Path, walk, text: str | bytes) -> str:
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
 def test_variant_from_a_file(tmp_path, walk, mark):
     controller: Any = load_variant("--variant", written(tmp_path, mark + VARIANT_FILE.encode()), *walk)
-    landed, reflex = controller.landing.params, controller.payload.params
+    landed, reflex = controller.stage("landing").params, controller.stage("payload").params
     assert float(landed.descent_speed) == 0.25 and landed.keep_x is False and landed.stays_down is True
     assert float(reflex.settling_time) == 3.0 and float(reflex.rearm_time) == np.inf
     assert reflex.smooth_resume is True and reflex.smooth_reflex is False
@@ -78,22 +79,26 @@ def test_stages_without_a_table_are_off(tmp_path, walk):
         written(tmp_path, '[payload]\nbase = "original"\nthreshold = 50\nzmp_balanced = -0.03'),
         *walk,
     )
-    assert isinstance(only, adapt.Controller) and only.landing is None and only.payload is not None
+    assert (
+        isinstance(only, adapt.Controller)
+        and only.stage("landing") is None
+        and only.stage("payload") is not None
+    )
     off = load_variant("--variant", written(tmp_path, '[payload]\nbase = "off"\n'), *walk)
-    assert off.landing is None and off.payload is None
+    assert off.stage("landing") is None and off.stage("payload") is None
 
 
-@pytest.mark.parametrize("name", [*landing.PARAMETERS, *payload.PARAMETERS])
+@pytest.mark.parametrize("name", [*OF_LANDING, *OF_REFLEX])
 def test_every_parameter_may_be_in_a_file(tmp_path, walk, name):
-    stage, base = ("landing", "paper") if name in landing.PARAMETERS else ("payload", "original")
+    stage, base = ("landing", "paper") if name in OF_LANDING else ("payload", "original")
     values = {"x_reflex": [[0.01, 0.02]] * 3, "zmp_balanced": -0.03, "x_stand": 0.02}
-    declared = {**landing.PARAMETERS, **payload.PARAMETERS}[name]
+    declared = (OF_LANDING if stage == "landing" else OF_REFLEX)[name]
     value = values.get(name, True if declared.allowed == "true or false" else 0.05)
     given = GIVEN if stage == "payload" else ""
     given = "\n".join(line for line in given.splitlines() if not line.startswith(f"{name} "))
     text = f"[{stage}]\nbase = '{base}'\n{given}\n{name} = {str(value).lower() if value is True else value}\n"
     made: Any = load_variant("--variant", written(tmp_path, text), *walk)
-    np.testing.assert_allclose(getattr(getattr(made, stage).params, name), value, rtol=1e-6)
+    np.testing.assert_allclose(getattr(made.stage(stage).params, name), value, rtol=1e-6)
 
 
 GIVEN = "threshold = 50\nzmp_balanced = -0.03\n"
@@ -197,7 +202,7 @@ VALUES = (
     | st.just([[0.01, 0.0]] * 3)
     | st.sampled_from(["paper", "off", "x"])
 )
-KEYS = st.sampled_from(["base", *landing.PARAMETERS, *payload.PARAMETERS, "b_s", "T_ini", "keep"])
+KEYS = st.sampled_from(["base", *OF_LANDING, *OF_REFLEX, "b_s", "T_ini", "keep"])
 TABLE = st.dictionaries(KEYS, VALUES, max_size=3)
 STAGES = st.dictionaries(
     st.sampled_from(["landing", "payload", "gait", "origin", "paylod"]), TABLE, min_size=1

@@ -1,73 +1,84 @@
 """The walking controller: a gait, and the stages that adapt it to what the sensors say."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbiped.adapt.landing import Landing, LandingStage, LandingState
-from jaxbiped.adapt.payload import PayloadReflex, PayloadStage, PayloadState
 from jaxbiped.adapt.sensed import Sensed
+from jaxbiped.adapt.stage import PlannedStage, Signals, Stage
 from jaxbiped.planner import CosineGait, PolynomialGait, Targets, at
 
 
 class ControllerState(eqx.Module):
     """What the controller remembers between two ticks."""
 
-    plan_time: Float[Array, ""]
-    """Time in the plan [s]."""
-    payload: PayloadState | None
-    """Of the payload stage."""
-    landing: LandingState | None
-    """Of the landing stage."""
+    time: Float[Array, ""]
+    """Of the last reading [s]."""
+    stages: dict[str, Any]
+    """State of every stage, by its name."""
+    signals: Signals
+    """What the stages said last."""
+
+    @property
+    def plan_time(self) -> Float[Array, ""]:
+        """Time in the plan [s]."""
+        return self.signals.plan_time
 
 
 class Controller(eqx.Module):
-    """A gait and the stages that adapt it online; without stages it walks open loop.
-
-    The payload stage decides what to do, the plan or a recovery; the landing stage fits that to the ground.
-    """
+    """A gait and the stages that adapt it online; without stages it walks open loop."""
 
     gait: PolynomialGait | CosineGait
     """The planned walk."""
-    payload: PayloadStage | None
-    """Sudden changes of weight."""
-    landing: LandingStage | None
-    """Landing on unknown heights."""
+    stages: tuple[PlannedStage, ...]
+    """In the order in which they act: first those that decide which step is made."""
 
-    def __init__(
-        self,
-        gait: PolynomialGait | CosineGait,
-        landing: Landing | None = None,
-        payload: PayloadReflex | None = None,
-    ):
+    def __init__(self, gait: PolynomialGait | CosineGait, *stages: Stage | None):
+        """Plan the stages for the gait.
+
+        Args:
+            gait: the planned walk.
+            *stages: their parameters, each at most once; None is a stage that is off.
+
+        Raises:
+            ValueError: if a stage is there twice.
+        """
+        chosen = sorted((stage for stage in stages if stage is not None), key=lambda stage: not stage.replans)
+        names = [stage.name for stage in chosen]
+        if len(set(names)) < len(names):
+            raise ValueError(f"stages: got {', '.join(names)}, allowed: each at most once")
         self.gait = gait
-        self.payload = None if payload is None else PayloadStage.plan(payload, gait)
-        self.landing = None if landing is None else LandingStage.plan(landing, gait)
+        self.stages = tuple(stage.plan(gait) for stage in chosen)
+
+    def stage(self, name: str) -> Any:
+        """The planned stage of this name; None if there is none."""
+        return next((stage for stage in self.stages if stage.name == name), None)
 
     def init(self) -> ControllerState:
         """State before the first tick."""
-        return ControllerState(
-            plan_time=jnp.zeros((), jnp.result_type(float)),
-            payload=None if self.payload is None else self.payload.init(),
-            landing=None if self.landing is None else self.landing.init(),
-        )
+        states = {stage.name: stage.init() for stage in self.stages}
+        return ControllerState(jnp.zeros((), jnp.result_type(float)), states, Signals.none())
 
-    def longest_delay(self) -> float:
-        """For how long a reflex can put the plan off [s]; 0 without a payload stage."""
-        if self.payload is None:
-            return 0.0
-        p, timing = self.payload.params, self.gait.timing
-        recovery_step = 2.2 * float(timing.T_s) + float(timing.T_c)
-        return float(p.reflex_time + 1.5 * p.settling_time + p.shift_time) + recovery_step
+    def longest_delay(self, changes: int = 1) -> float:
+        """For how long the stages can put the plan off [s], if the weight changes suddenly so often."""
+        return sum((stage.longest_delay(self.gait, changes) for stage in self.stages), 0.0)
 
     def step(self, state: ControllerState, sensed: Sensed) -> tuple[ControllerState, Targets]:
         """One control tick: read the sensors, give task-space targets."""
-        payload, landing = state.payload, state.landing
-        if self.payload is not None and payload is not None:
-            shaken = jnp.zeros((), bool) if landing is None else landing.shaken()
-            payload, targets = self.payload.step(payload, self.gait, sensed, shaken)
-        else:
-            targets = at(self.gait, sensed.time)
-        if self.landing is not None and landing is not None:
-            landing, targets = self.landing.step(landing, targets, sensed)
-        return ControllerState(targets.time, payload, landing), targets
+        states, signals, targets = {}, state.signals, at(self.gait, sensed.time)
+        for stage in self.stages:
+            states[stage.name], targets, signals = stage.step(
+                state.stages[stage.name], self.gait, targets, sensed, signals
+            )
+        signals = eqx.tree_at(lambda s: s.plan_time, signals, targets.time)
+        return ControllerState(sensed.time, states, signals), targets
+
+    def outcome(self, state: ControllerState) -> dict[str, Array]:
+        """Outcome columns of all stages, at the end of a walk."""
+        return {
+            name: value
+            for stage in self.stages
+            for name, value in stage.outcome(state.stages[stage.name]).items()
+        }

@@ -1,8 +1,12 @@
-"""Parameters of a stage, each declared once: its unit, its bounds and what it is; switches too."""
+"""Parameters of a stage, each declared once, in its record: unit, bounds, default, text, range of tuning."""
 
-from collections.abc import Callable, Iterable, Mapping
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxbiped.checked import Flag, Quantity, refuse_unknown
@@ -10,31 +14,71 @@ from jaxbiped.checked import Flag, Quantity, refuse_unknown
 Declared = Mapping[str, Quantity | Flag]
 
 
-def reader(declared: Declared) -> Callable[[str], Callable[[Any], Any]]:
-    """Give for every parameter's name what its field is converted by: checked, then an array of JAX's float type.
+@dataclass(frozen=True)
+class Tune:
+    """The range in which a parameter is tuned, within its bounds."""
 
-    A switch stays a truth value; None and values that are traced are not judged.
+    low: float
+    high: float
+    note: str = ""
+    """The paper's own value."""
+    entries: Mapping[str, tuple[int, ...]] | None = None
+    """Names of single entries and their places, if the parameter is a table."""
+
+
+def number(
+    name: str, declared: Quantity, default: Any = dataclasses.MISSING, *, tune: Tune | None = None
+) -> Any:
+    """Declare a parameter that is a number or a table of numbers: checked, then an array of JAX's float type.
+
+    None, where it is allowed, and values that are traced are not judged.
+
+    Args:
+        name: of the field.
+        declared: its unit, its bounds, and what it is.
+        default: the parameter is required if none is given.
+        tune: how it may be tuned; None if it cannot be.
     """
 
-    def named(name: str) -> Callable[[Any], Any]:
-        parameter = declared[name]
+    def read(given: Any) -> Any:
+        value = declared.check(name, given)
+        return None if value is None else jnp.asarray(value, jnp.result_type(float))
 
-        def read(given: Any) -> Any:
-            value = parameter.check(name, given)
-            if value is None or isinstance(parameter, Flag):
-                return value
-            return jnp.asarray(value, jnp.result_type(float))
-
-        return read
-
-    return named
+    return eqx.field(converter=read, metadata={"declared": declared, "tune": tune}, **_default(default))
 
 
-def switches(declared: Declared) -> list[str]:
+def switch(name: str, default: bool, text: str) -> Any:
+    """Declare a parameter that is true or false; it decides what is compiled."""
+    declared = Flag(text)
+
+    def read(given: Any) -> bool:
+        return declared.check(name, given)
+
+    return eqx.field(converter=read, static=True, metadata={"declared": declared}, default=default)
+
+
+@cache
+def declared(record: type) -> Declared:
+    """Everything that a record declares, by the parameter's name."""
+    return {f.name: f.metadata["declared"] for f in dataclasses.fields(record) if "declared" in f.metadata}
+
+
+@cache
+def tuned(record: type) -> Mapping[str, Tune]:
+    """How the parameters that may be tuned are, by name."""
+    found = {f.name: f.metadata.get("tune") for f in dataclasses.fields(record)}
+    return {name: tune for name, tune in found.items() if tune is not None}
+
+
+def switches(record: type) -> list[str]:
     """Names of the parameters that are true or false."""
-    return [name for name, parameter in declared.items() if isinstance(parameter, Flag)]
+    return [name for name, parameter in declared(record).items() if isinstance(parameter, Flag)]
 
 
-def require_names(record: str, given: Iterable[str], declared: Declared) -> None:
+def require_names(record: type, given: Iterable[str]) -> None:
     """Raise a TypeError that names the nearest parameter, if a record has none of this name."""
-    refuse_unknown(f"{record}: parameter ", given, declared, TypeError)
+    refuse_unknown(f"{record.__name__}: parameter ", given, declared(record), TypeError)
+
+
+def _default(default: Any) -> dict[str, Any]:
+    return {} if default is dataclasses.MISSING else {"default": default}

@@ -6,7 +6,7 @@ the variant that is tuned.
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbiped.adapt import landing, payload
+from jaxbiped.adapt import parameters
 from jaxbiped.adapt.controller import Controller
+from jaxbiped.adapt.stage import STAGES, Stage
 from jaxbiped.checked import Quantity
 from jaxbiped.planner import GaitError, violations
 from jaxbiped.planner.polynomial import as_scalar
@@ -40,82 +41,56 @@ class Tunable:
     """Largest value allowed."""
     unit: str
     what: str
+    field: str
+    """Name of the parameter in its record, dotted where that holds another record."""
     index: tuple[int, ...] = ()
     """Place in the parameter, if that is a table."""
 
     @property
     def stage(self) -> str:
-        """`landing`, `payload` or `gait`."""
+        """Name of the stage, or `gait`."""
         return self.name.split(".")[0]
 
-    @property
-    def field(self) -> str:
-        """Name of the parameter in its record, dotted where that holds another record."""
-        return "x_reflex" if self.index else self.name.partition(".")[2]
+
+def of_stage(stage: type[Stage]) -> list[Tunable]:
+    """What its record declares to be tunable."""
+    found = []
+    for name, tune in parameters.tuned(stage).items():
+        quantity = parameters.declared(stage)[name]
+        assert isinstance(quantity, Quantity)
+        text = quantity.text.rstrip(".") + (f" ({tune.note})" if tune.note else "")
+        for entry, index in (tune.entries or {name: ()}).items():
+            found.append(
+                Tunable(f"{stage.name}.{entry}", tune.low, tune.high, quantity.unit, text, name, index)
+            )
+    return found
 
 
-DECLARED = {"landing": landing.PARAMETERS, "payload": payload.PARAMETERS}
-"""What the parameters of each stage are and may be."""
-
-
-def _of_stage(
-    name: str, low: float, high: float, what: str, field: str = "", index: tuple[int, ...] = ()
-) -> Tunable:
-    stage, own = name.split(".")
-    declared = DECLARED[stage][field or own]
-    assert isinstance(declared, Quantity)
-    return Tunable(name, low, high, declared.unit, what, index)
-
-
-def _offset(phase: str, foot: str, row: int, column: int) -> Tunable:
-    name = f"payload.x_{foot}_{phase.replace(' ', '_')}"
-    what = f"how far the reflex moves the {foot} foot forward, {phase} (thesis: 0.01 forward or back)"
-    return _of_stage(name, -0.03, 0.03, what, "x_reflex", (row, column))
-
-
-_PHASES = ("left swings", "right swings", "both stand")
-
-TUNABLES: dict[str, Tunable] = {
-    t.name: t
-    for t in (
-        _of_stage("landing.T_mod", 0.01, 0.3, "time to set the foot down (khadiv: what the plan needs)"),
-        _of_stage("landing.descent_speed", 0.05, 0.5, "h over the control tick"),
-        _of_stage("landing.delta_x_scale", 0.0, 2.0, "factor on delta_x (khadiv: 1)"),
-        _of_stage("landing.release_share", 0.3, 1.0, "time of release over T_s (khadiv: 1)"),
-        *(
-            _offset(phase, foot, row, column)
-            for row, phase in enumerate(_PHASES)
-            for column, foot in enumerate(("left", "right"))
-        ),
-        _of_stage("payload.reflex_time", 0.04, 1.0, "t_refl_per (thesis: 0.1)"),
-        _of_stage("payload.settling_time", 1.5, 6.0, "t_set_t (thesis: 2, then 4)"),
-        _of_stage("payload.x_ref_gain", 0.0, 2.0, "share of the ZMP error by which x_ref moves (thesis: 1)"),
-        _of_stage("payload.zmp_balanced", -0.1, 0.05, "balanced ZMP from the pelvis (thesis: -0.035)"),
-        _of_stage("payload.threshold", 5.0, 200.0, "rise of the filtered force that starts the reflex"),
-    )
-}
-"""By name; a gait's parameters come on top, see `find`."""
+def known() -> dict[str, Tunable]:
+    """The tunables of all stages by name; a gait's parameters come on top, see `find`."""
+    return {tunable.name: tunable for stage in STAGES.values() for tunable in of_stage(stage)}
 
 
 def find(names: Sequence[str], controller: Controller) -> list[Tunable]:
     """The tunables of these names for a controller.
 
     Args:
-        names: each one of TUNABLES, a whole stage (`landing`, `payload`), or `gait.` and a parameter of the gait.
+        names: each one of `known`, a whole stage (`landing`, `payload`), or `gait.` and a parameter of the gait.
         controller: that is to be tuned.
 
     Raises:
         ValueError: naming what was got and what is allowed.
     """
-    allowed = [name for name, t in TUNABLES.items() if getattr(controller, t.stage) is not None]
+    tunables = known()
+    allowed = [name for name, t in tunables.items() if controller.stage(t.stage) is not None]
     allowed += [f"gait.{field}" for field in gait_fields(controller.gait)]
     found: list[Tunable] = []
     for name in names:
-        of_stage = [TUNABLES[a] for a in allowed if a in TUNABLES and TUNABLES[a].stage == name]
-        if of_stage:
-            found += of_stage
+        whole = [tunables[a] for a in allowed if a in tunables and tunables[a].stage == name]
+        if whole:
+            found += whole
         elif name in allowed:
-            found.append(TUNABLES[name] if name in TUNABLES else _of_gait(name, controller))
+            found.append(tunables[name] if name in tunables else _of_gait(name, controller))
         else:
             raise ValueError(f"tunable: got '{name}', allowed: {', '.join(allowed)}")
     if len({t.name for t in found}) != len(found) or not found:
@@ -136,28 +111,26 @@ def apply(
 ) -> Controller:
     """The controller with other values, planned anew; pure, to be differentiated."""
     gait, stages = with_values(robot, controller, tunables, jnp.asarray(new))
-    return Controller(gait, **stages)
+    return Controller(gait, *stages)
 
 
 def with_values(
     robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
-) -> tuple[Any, dict[str, Any]]:
-    """What `apply` plans with: the gait, and the parameters of both stages by name.
+) -> tuple[Any, list[Stage]]:
+    """What `apply` plans with: the gait, and the parameters of the stages.
 
     A descent goes through plans that break a constraint by a little, so that none is refused for that here.
     """
     own = {t.field: new[i] for i, t in enumerate(tunables) if t.stage == "gait"}
-    gait, stages = other_gait(robot, controller.gait, own, allow_infeasible=True), {}
-    for stage in ("landing", "payload"):
-        planned = getattr(controller, stage)
-        params = None if planned is None else planned.params
-        for t, value in ((t, new[i]) for i, t in enumerate(tunables) if t.stage == stage):
+    gait, stages = other_gait(robot, controller.gait, own, allow_infeasible=True), []
+    for stage in controller.stages:
+        params = stage.params
+        for t, value in ((t, new[i]) for i, t in enumerate(tunables) if t.stage == stage.name):
             old = getattr(params, t.field)
-            value = jnp.asarray(old).at[t.index].set(value) if t.index else value
-            params = eqx.tree_at(
-                lambda p, name=t.field: getattr(p, name), params, value, is_leaf=lambda x: x is None
+            params = replace(
+                params, **{t.field: jnp.asarray(old).at[t.index].set(value) if t.index else value}
             )
-        stages[stage] = params
+        stages.append(params)
     return gait, stages
 
 
@@ -166,16 +139,14 @@ def as_tables(
 ) -> dict[str, dict[str, Any]]:
     """The values as the tables of a variant's TOML file: stage, parameter, value.
 
-    Where the gait is tuned, what the payload stage had read off the old one is kept as numbers, and the table [gait]
-    says `allow_infeasible = true` if the new one breaks a constraint.
+    Where the gait is tuned, what stages had read off the old one is kept as numbers, and the table [gait] says
+    `allow_infeasible = true` if the new one breaks a constraint.
     """
     tables: dict[str, dict[str, Any]] = {}
-    if controller.payload is not None and any(t.stage == "gait" for t in tunables):
-        params = controller.payload.params
-        read = {
-            name: getattr(params, name) for name in ("zmp_balanced", "threshold", "slow_threshold", "x_stand")
-        }
-        tables["payload"] = {name: float(value) for name, value in read.items() if value is not None}
+    for stage in controller.stages if any(t.stage == "gait" for t in tunables) else ():
+        read = {name: getattr(stage.params, name) for name in stage.params.read_off_plan}
+        if read:
+            tables[stage.name] = {name: float(value) for name, value in read.items() if value is not None}
     for t, value in zip(tunables, new, strict=True):
         table = tables.setdefault(t.stage, {})
         if t.index:
@@ -192,10 +163,12 @@ def as_tables(
 
 
 def _parameter(controller: Controller, t: Tunable) -> Array:
-    if t.name == "landing.T_mod":
-        assert controller.landing is not None
-        return controller.landing.T_mod
-    return jnp.asarray(attrgetter(t.field)(getattr(controller, t.stage).params))
+    """The parameter's value; what the stage has read off the plan where the parameter is None."""
+    if t.stage == "gait":
+        return jnp.asarray(attrgetter(t.field)(controller.gait.params))
+    stage = controller.stage(t.stage)
+    value = getattr(stage.params, t.field)
+    return jnp.asarray(getattr(stage, t.field) if value is None else value)
 
 
 def gait_fields(gait: Any) -> list[str]:
@@ -240,4 +213,4 @@ def _of_gait(name: str, controller: Controller) -> Tunable:
     room = GAIT_ROOM * max(abs(now), SMALLEST)
     declared = getattr(type(controller.gait), "quantities", {}).get(field, Quantity())
     low, high = max(now - room, declared.low), min(now + room, declared.high)
-    return Tunable(name, low, high, declared.unit, "parameter of the gait")
+    return Tunable(name, low, high, declared.unit, "parameter of the gait", field)

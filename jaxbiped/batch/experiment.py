@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from jaxbiped.adapt import Controller
+from jaxbiped.adapt import Controller, Outcome
 from jaxbiped.batch import inputs, records
+from jaxbiped.batch.columns import outcomes
 from jaxbiped.checked import Refusal, whole
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import watch_time
@@ -139,8 +140,7 @@ class Experiment:
         needed = {name: watch_time(variant, changes) for name, variant in self.variants.items()}
         # Variants with the same stages share what is compiled, if they are walked for the same time.
         alike = {
-            name: (variant.payload is None, variant.landing is None)
-            for name, variant in self.variants.items()
+            name: tuple(stage.name for stage in variant.stages) for name, variant in self.variants.items()
         }
         return {
             name: round(max(t for other, t in needed.items() if alike[other] == alike[name]), 3)
@@ -168,6 +168,11 @@ class Experiment:
                 stop = min(start + self.lanes, n)
                 found.append(Chunk(len(found), variant, start, stop, index * n))
         return found
+
+    @cached_property
+    def outcomes(self) -> Mapping[str, Outcome]:
+        """Columns of what comes of the walks."""
+        return outcomes(self.variants.values())
 
     @property
     def rows(self) -> int:

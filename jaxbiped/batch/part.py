@@ -1,5 +1,7 @@
 """One chunk of walks: from scenarios to rows of the results table."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,9 @@ import polars as pl
 from jaxtyping import Array
 
 from jaxbiped import runtime, sim
-from jaxbiped.adapt import Controller
+from jaxbiped.adapt import Controller, Outcome
 from jaxbiped.batch import inputs
-from jaxbiped.batch.columns import OUTCOMES, require_declared
+from jaxbiped.batch.columns import ALWAYS, OUTCOMES, require_declared
 from jaxbiped.batch.experiment import Chunk, Experiment
 from jaxbiped.robot import SIDE_NAMES
 from jaxbiped.score import STATUS_TEXT, judge
@@ -30,7 +32,9 @@ def walk_chunk(experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
     outcome = _outcomes(walks, simulation.controller, batch)
     n = chunk.stop - chunk.start
     outcome = {name: np.asarray(column)[:n] for name, column in outcome.items()}
-    return pl.concat([_identity(chunk), table[:n], outcome_frame(outcome)], how="horizontal")
+    return pl.concat(
+        [_identity(chunk), table[:n], outcome_frame(outcome, experiment.outcomes)], how="horizontal"
+    )
 
 
 @runtime.jit
@@ -41,10 +45,6 @@ def _outcomes(walks: Walk, controller: Controller, batch: Scenario) -> Columns:
 def outcome_of(walk: Walk, controller: Controller, scenario: Scenario) -> Columns:
     """What the table says of one walk, as numbers."""
     s, verdict = walk.statistics, judge(walk, controller.gait, scenario)
-    payload = None if walk.controller is None else walk.controller.payload
-    none = jnp.zeros((), jnp.int32)
-    reflexes = none if payload is None else payload.reflexes
-    triggered = jnp.nan if payload is None else jnp.where(reflexes > 0, payload.trigger_time, jnp.nan)
     roll, pitch = jnp.rad2deg(s.peak_roll_pitch)
     feet = {
         "peak_force_{}_N": s.peak_foot_force,
@@ -57,17 +57,15 @@ def outcome_of(walk: Walk, controller: Controller, scenario: Scenario) -> Column
         "success": verdict.success,
         "finished": verdict.finished,
         "end_time_s": s.end_time,
-        "reflexes": reflexes,
-        "trigger_s": triggered + jnp.zeros_like(s.end_time),
         "peak_roll_deg": roll,
         "peak_pitch_deg": pitch,
         **{name.format(side): both[i] for name, both in feet.items() for i, side in enumerate(SIDE_NAMES)},
         "zmp_margin_m": s.zmp_margin,
         "reach_margin_m": s.reach_margin,
         "out_of_reach_s": s.out_of_reach_time,
-        "missed": verdict.missed,
         "x_m": s.p_world_trunk[0],
         "y_m": s.p_world_trunk[1],
+        **({} if walk.controller is None else controller.outcome(walk.controller)),
     }
 
 
@@ -82,22 +80,28 @@ def _identity(chunk: Chunk) -> pl.DataFrame:
     )
 
 
-def outcome_frame(outcome: dict[str, np.ndarray]) -> pl.DataFrame:
-    """Columns of the outcome: whole numbers, flags, text for the status, float64 for all else.
+def outcome_frame(
+    outcome: Mapping[str, np.ndarray], declared: Mapping[str, Outcome] = OUTCOMES
+) -> pl.DataFrame:
+    """Columns of the outcome as they are declared; those of stages that the controller has not are filled in.
 
     Raises:
-        ValueError: for a column that is not declared in `columns.OUTCOMES`.
+        ValueError: for a column that is not declared, or one that is missing and has no stage.
     """
-    require_declared(outcome)
-    columns = {}
-    for name in OUTCOMES:
-        values = outcome[name]
-        if name == "status":
-            columns[name] = pl.Series([STATUS_TEXT[i] for i in values], dtype=pl.String)
-        elif values.dtype.kind in "iu":
-            columns[name] = pl.Series(values, dtype=pl.Int64)
-        elif values.dtype.kind == "f":
-            columns[name] = pl.Series(values.astype(float))
-        else:
-            columns[name] = pl.Series(values)
-    return pl.DataFrame(columns).with_columns(pl.col("trigger_s").fill_nan(None))
+    n = len(outcome["status"])
+    own = {name for name in declared if name in ALWAYS or name not in OUTCOMES}
+    absent = {name: np.full(n, declared[name].absent) for name in own if name not in outcome}
+    outcome = {**outcome, **absent}
+    require_declared(outcome, declared)
+    columns = [_column(name, outcome[name], column.kind) for name, column in declared.items()]
+    return pl.DataFrame([column.fill_nan(None) if column.name in own else column for column in columns])
+
+
+_DTYPES = {float: pl.Float64, int: pl.Int64, bool: pl.Boolean, str: pl.String}
+
+
+def _column(name: str, values: np.ndarray, kind: type) -> pl.Series:
+    if name == "status":
+        values = np.array([STATUS_TEXT[i] for i in values], object)
+    plain = values.tolist() if values.dtype == object else values.astype(kind)
+    return pl.Series(name, plain, dtype=_DTYPES[kind])

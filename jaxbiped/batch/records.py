@@ -34,10 +34,6 @@ RECORDS: dict[str, type[eqx.Module]] = {
     "piecewise_polynomial": PiecewisePolynomial,
     "phase": Phase,
     "controller": adapt.Controller,
-    "landing": adapt.LandingStage,
-    "landing_parameters": adapt.Landing,
-    "payload_reflex": adapt.PayloadStage,
-    "payload_reflex_parameters": adapt.PayloadReflex,
     "options": sim.Options,
     "scenario": sim.Scenario,
     "terrain": scenario.Terrain,
@@ -47,7 +43,15 @@ RECORDS: dict[str, type[eqx.Module]] = {
     "model_errors": scenario.ModelErrors,
     "sensor_faults": scenario.SensorFaults,
 }
-"""What records are called in files. A name that was ever written stays here for good."""
+"""What records are called in files, but for those of stages. A name that was ever written stays here for good."""
+
+
+def known() -> dict[str, type[eqx.Module]]:
+    """All records by name: those of RECORDS and of every stage, planned and its parameters."""
+    stages = {stage.record or stage.name: stage for stage in adapt.STAGES.values()}
+    planned = {name: stage.planned for name, stage in stages.items()}
+    return {**RECORDS, **planned, **{f"{name}_parameters": stage for name, stage in stages.items()}}
+
 
 _BEFORE_0_2 = {
     "jaxbiped.robot.params:RobotParams": "robot",
@@ -64,12 +68,11 @@ _BEFORE_0_2 = {
     "jaxbiped.adapt.controller:Controller": "controller",
     "jaxbiped.adapt.landing:LandingStage": "landing",
     "jaxbiped.adapt.landing:Landing": "landing_parameters",
-    "jaxbiped.adapt.payload:PayloadStage": "payload_reflex",
-    "jaxbiped.adapt.payload:PayloadReflex": "payload_reflex_parameters",
+    "jaxbiped.adapt.reflex:PayloadStage": "payload_reflex",
+    "jaxbiped.adapt.reflex:PayloadReflex": "payload_reflex_parameters",
     "jaxbiped.sim.rollout:Options": "options",
 }
 """Names in the files of version 0.1, which were places in its code."""
-_NAME = {made: name for name, made in RECORDS.items()}
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
@@ -93,11 +96,11 @@ def to_json(value: Any) -> Any:
             return {"tuple": [to_json(item) for item in value]}
         case dict():
             return {"dict": {str(key): to_json(item) for key, item in value.items()}}
-        case eqx.Module() if type(value) in _NAME:
+        case eqx.Module() if (name := _name(type(value))) is not None:
             fields = {f.name: to_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
-            return {"record": _NAME[type(value)], **fields}
+            return {"record": name, **fields}
     raise TypeError(
-        f"record: got a {type(value).__name__}, allowed: arrays, plain values, and of records {', '.join(RECORDS)}"
+        f"record: got a {type(value).__name__}, allowed: arrays, plain values, and of records {', '.join(known())}"
     )
 
 
@@ -138,18 +141,29 @@ def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
                 )
             else:
                 yield from differences(old[key], new[key], where)
+    elif _are_records(old) and _are_records(new) and len(old) == len(new):
+        for i, (then, now) in enumerate(zip(old, new, strict=True)):
+            yield from differences(then, now, f"{path}.{then.get('record', i)}")
     elif old != new:
         yield f"{path}: {_short(old)} -> {_short(new)}"
+
+
+def _are_records(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(item, dict) for item in value)
 
 
 def _record(data: dict[str, Any]) -> Any:
     name = data["record"]
     name = _BEFORE_0_2.get(name, name)
-    if name not in RECORDS:
-        raise ValueError(f"record: got '{name}', allowed: {', '.join(RECORDS)}")
-    made = RECORDS[name]
+    every = known()
+    if name not in every:
+        raise ValueError(f"record: got '{name}', allowed: {', '.join(every)}")
+    made = every[name]
     fields = {field.name: field for field in dataclasses.fields(made)}
     given = {key: from_json(value) for key, value in data.items() if key != "record"}
+    if made is adapt.Controller and "stages" not in given:  # until format 2
+        both = (given.pop("payload"), given.pop("landing"))
+        given["stages"] = tuple(stage for stage in both if stage is not None)
     # What a version had not yet, it has by default now.
     given = {
         **{key: _default(f) for key, f in fields.items() if f.default is not dataclasses.MISSING},
@@ -162,6 +176,11 @@ def _record(data: dict[str, Any]) -> Any:
     for key in fields:
         object.__setattr__(record, key, given[key])
     return record
+
+
+def _name(made: type) -> str | None:
+    """What a record is called."""
+    return next((name for name, record in known().items() if record is made), None)
 
 
 def _default(field: dataclasses.Field) -> Any:

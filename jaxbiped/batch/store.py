@@ -19,7 +19,7 @@ import platform
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -162,7 +162,9 @@ class Store:
         Raises:
             DamagedError: if the file is not this chunk's, or not as it was written.
         """
-        return read_part(self.part(chunk), self.key, self.experiment.table, chunk)
+        return read_part(
+            self.part(chunk), self.key, self.experiment.table, chunk, outcomes=self.experiment.outcomes
+        )
 
     def write(self, chunk: Chunk, rows: pl.DataFrame) -> None:
         """Keep the rows of a finished chunk.
@@ -307,7 +309,14 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
         if os.path.lexists(part):
             try:
                 rows.append(
-                    read_part(part, None if version is None else key, written, chunk, CALLED[version])
+                    read_part(
+                        part,
+                        None if version is None else key,
+                        written,
+                        chunk,
+                        CALLED[version],
+                        experiment.outcomes,
+                    )
                 )
             except DamagedError as error:
                 tell(f"'{part}' is damaged ({error}): left out; running the same command again makes it anew")
@@ -327,7 +336,12 @@ def part_file(folder: Path, key: str, chunk: Chunk) -> Path:
 
 
 def read_part(
-    path: Path, key: str | None, scenarios: pl.DataFrame, chunk: Chunk, called: str = CALLED[FORMAT]
+    path: Path,
+    key: str | None,
+    scenarios: pl.DataFrame,
+    chunk: Chunk,
+    called: str = CALLED[FORMAT],
+    outcomes: Collection[str] = tuple(OUTCOMES),
 ) -> pl.DataFrame:
     """Rows of a chunk, if the file is that chunk's and as it was written.
 
@@ -337,6 +351,7 @@ def read_part(
         scenarios: of the experiment whose part it is, with every input that was written.
         chunk: which part.
         called: what the part calls a variant.
+        outcomes: columns it may have besides.
 
     Raises:
         DamagedError: if it is not: says why.
@@ -366,7 +381,7 @@ def read_part(
             raise DamagedError(f"its column '{name}' is missing, or not all of it is there")
     if odd := set(frame["status"]) - set(STATUS_TEXT):
         raise DamagedError(f"it has the status '{odd.pop()}'")
-    if odd := set(frame.columns) - {*IDENTITY, *inputs.columns, *OUTCOMES}:
+    if odd := set(frame.columns) - {*IDENTITY, *inputs.columns, *outcomes}:
         raise DamagedError(f"it has the column '{odd.pop()}'")
     return frame
 

@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -14,7 +14,7 @@ from jaxbiped.batch import columns, progress, store, summary
 from jaxbiped.batch.experiment import MAX_BATCH
 from jaxbiped.batch.run import MAX_WORKERS
 from jaxbiped.checked import nearest
-from jaxbiped.commands.choices import landing_of, load_variant, reflex_of
+from jaxbiped.commands.choices import OFF, load_variant, stage_of
 from jaxbiped.commands.common import InputError, make_writable, require_folder, require_free, say, whole
 
 WORKERS_HELP = "Processes; 1 walks in this one. Default: one for each core, or for each GPU."
@@ -81,44 +81,11 @@ def numbers(argument: str, values: Iterable[float], unit: str, low: float, high:
     return found
 
 
-def landing_variants(
-    names: Iterable[str],
-    allowed: tuple[str, ...],
-    params: robot.RobotParams,
-    gait: Any,
-    allow_infeasible: bool = False,
-) -> dict:
-    """Controllers with landing adaptation by the names of their variants, or by TOML files."""
-
-    def make(name: str) -> adapt.Controller:
-        return adapt.Controller(gait, landing=landing_of(name))
-
-    return _variants(names, allowed, params, gait, allow_infeasible, make)
-
-
-def reflex_variants(
-    names: Iterable[str],
-    allowed: tuple[str, ...],
-    params: robot.RobotParams,
-    gait: Any,
-    allow_infeasible: bool = False,
-) -> dict:
-    """Controllers with a payload reflex by the names of their variants, or by TOML files."""
-
-    def make(name: str) -> adapt.Controller:
-        return adapt.Controller(gait, payload=reflex_of(name, params, gait))
-
-    return _variants(names, allowed, params, gait, allow_infeasible, make)
-
-
-def _variants(
-    names: Iterable[str],
-    allowed: tuple[str, ...],
-    params: Any,
-    gait: Any,
-    allow_infeasible: bool,
-    make: Callable[[str], adapt.Controller],
-) -> dict:
+def variants(
+    names: Iterable[str], stage: str, params: robot.RobotParams, gait: Any, allow_infeasible: bool = False
+) -> dict[str, adapt.Controller]:
+    """Controllers with one stage by the names of its variants, or by TOML files."""
+    allowed = (OFF, *adapt.STAGES[stage].variants)
     found: dict[str, adapt.Controller] = {}
     for name in names:
         if name in found:
@@ -126,7 +93,7 @@ def _variants(
         if name.endswith(".toml"):
             found[name] = load_variant("--variant", Path(name), params, gait, allow_infeasible)
         elif name in allowed:
-            found[name] = make(name)
+            found[name] = adapt.Controller(gait, stage_of(stage, name, params, gait))
         else:
             raise InputError(
                 f"--variant: got '{name}', allowed: {', '.join(allowed)}, or a file that ends in .toml"

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 
 from jaxbiped import adapt, checked, planner, robot, sim
-from jaxbiped.adapt import landing, payload, tunables
+from jaxbiped.adapt import parameters, tunables
 from jaxbiped.batch.inputs import INPUTS
 from jaxbiped.checked import Quantity, Refusal, Word
 from jaxbiped.commands.common import InputError
@@ -22,18 +22,20 @@ THESIS_FRICTION = 0.09
 under its body in 0.1 s."""
 MOST_STEPS = 200
 OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = "off", "paper", "original", "modified", "repaired"
-LANDINGS = (OFF, PAPER, REPAIRED)
-REFLEXES = (OFF, ORIGINAL, MODIFIED, REPAIRED)
+LANDINGS, REFLEXES = (OFF, *adapt.Landing.variants), (OFF, *adapt.PayloadReflex.variants)
 ALLOW_KEY, ALLOW = "allow_infeasible", checked.Flag("the plan may break a constraint of khadiv section 2.2")
 ALLOW_HELP = (
     "Simulate a plan, too, whose ZMP leaves the support polygon or that takes more torque, speed, friction or leg than "
     "there is. Without it such a plan is refused, unless it is a preset that is known to be one."
 )
-STAGES: dict[str, dict[str, checked.Field]] = {
-    "landing": {"base": Word(LANDINGS), **landing.PARAMETERS},
-    "payload": {"base": Word(REFLEXES), **payload.PARAMETERS},
-}
-"""What the tables of the stages in the file of a variant may hold."""
+
+
+def stage_fields() -> dict[str, dict[str, checked.Field]]:
+    """What the tables of the stages in the file of a variant may hold."""
+    return {
+        name: {"base": Word((OFF, *stage.variants)), **parameters.declared(stage)}
+        for name, stage in adapt.STAGES.items()
+    }
 
 
 def gait_name(given: str | None, params: robot.RobotParams) -> str:
@@ -100,23 +102,18 @@ def clock_start(gait: Any) -> float:
     return float(gait.params.T_ini) if isinstance(gait, planner.CosineGait) else 0.0
 
 
-def landing_of(name: str, **parameters: Any) -> adapt.Landing | None:
-    """Parameters of the landing stage by the name of its variant."""
-    return None if name == OFF else getattr(adapt.Landing, name)(**parameters)
-
-
-def reflex_of(
-    name: str, params: robot.RobotParams, gait: Any, **parameters: Any
-) -> adapt.PayloadReflex | None:
-    """Parameters of the payload stage by the name of its variant."""
-    return None if name == OFF else getattr(adapt.PayloadReflex, name)(params, gait, **parameters)
+def stage_of(
+    name: str, variant: str, params: robot.RobotParams, gait: Any, **given: Any
+) -> adapt.Stage | None:
+    """Parameters of a stage by its name and that of its variant; None if it is off."""
+    return None if variant == OFF else adapt.STAGES[name].named(variant, params, gait, **given)
 
 
 def variant_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
-    """The tables [landing], [payload] and [gait] of the TOML file of a variant, those that it has.
+    """The tables of stages ([landing], [payload]) and [gait] of the TOML file of a variant, those that it has.
 
-    The first two have `base`, the name of a variant, and any of the parameters of that stage; the last one those of
-    the gait, those of its start and stop as `start_stop.x_s_first`, and `allow_infeasible = true` if its plan may break
+    That of a stage has `base`, the name of a variant, and any of the parameters of that stage; [gait] has those of the
+    gait, those of its start and stop as `start_stop.x_s_first`, and `allow_infeasible = true` if its plan may break
     a constraint. The table [origin], where the numbers came from, may hold anything and is not read.
 
     Args:
@@ -128,12 +125,13 @@ def variant_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
     """
     try:
         data = checked.read_toml(path)
-        checked.refuse_unknown("", data, (*STAGES, "gait", "origin"))
+        stages = stage_fields()
+        checked.refuse_unknown("", data, (*stages, "gait", "origin"))
         if not isinstance(data.get("origin", {}), dict):
             raise Refusal(f"origin: got {checked.shown(data['origin'])}, allowed: a table [origin]")
         tables = {
             name: checked.read_table(name, data[name], fields, ("base",))
-            for name, fields in STAGES.items()
+            for name, fields in stages.items()
             if name in data
         }
         for name, table in tables.items():
@@ -145,7 +143,8 @@ def variant_tables(argument: str, path: Path) -> dict[str, dict[str, Any]]:
         if "gait" in data:
             tables["gait"] = _gait_table(data["gait"])
         if not tables:
-            raise Refusal("got no table, allowed: a file with a table [landing], [payload] or [gait]")
+            known = ", ".join(f"[{name}]" for name in stages)
+            raise Refusal(f"got no table, allowed: a file with a table {known} or [gait]")
     except Refusal as error:
         raise InputError(f"{argument}: '{path}': {str(error).removeprefix(f'{path.name}: ')}") from None
     return tables
@@ -167,14 +166,14 @@ def load_variant(
         InputError: if the file cannot be read or says what cannot be meant.
     """
     tables = variant_tables(argument, path)
-    own, reflex = ({"base": OFF, **tables.get(name, {})} for name in STAGES)
     try:
         gait = _other_gait(tables.get("gait", {}), params, gait, allow_infeasible)
-        return adapt.Controller(
-            gait,
-            landing=landing_of(own.pop("base"), **own),
-            payload=reflex_of(reflex.pop("base"), params, gait, **reflex),
-        )
+        stages = [
+            stage_of(name, table.pop("base"), params, gait, **table)
+            for name, table in tables.items()
+            if name != "gait"
+        ]
+        return adapt.Controller(gait, *stages)
     except (TypeError, ValueError) as error:
         words = str(error).replace(OR_ALLOW, f"{OR_ALLOW.replace('=True', ' = true')} in [gait]")
         raise InputError(f"{argument}: '{path}': {words}") from None

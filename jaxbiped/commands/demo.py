@@ -204,7 +204,7 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.
     options = sim.Options()
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     controllers = {
-        "landing adaptation": adapt.Controller(gait, landing=adapt.Landing.repaired()),
+        "landing adaptation": adapt.Controller(gait, adapt.Landing.repaired()),
         "no adaptation": adapt.Controller(gait),
     }
     duration = float(gait.duration) + 0.5

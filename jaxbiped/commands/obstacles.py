@@ -76,7 +76,7 @@ def set_up(command: Obstacles) -> batch.Experiment:
             raise InputError(
                 f"--step: got {step}, allowed: 0 to {command.steps - 1} with --steps {command.steps}"
             )
-    variants = batches.landing_variants(command.variant, LANDINGS, params, gait, allow)
+    variants = batches.variants(command.variant, "landing", params, gait, allow)
     scenarios = pl.DataFrame({batch.height_column(step): heights for step in command.step})
     options = simulation_options(params, gait)
     return batches.experiment(params, variants, scenarios, options, seed=command.seed, batch=command.batch)

@@ -12,7 +12,6 @@ from jaxbiped import batch, sim
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
     ALLOW_HELP,
-    REFLEXES,
     clock_start,
     floor_friction,
     gait_name,
@@ -98,7 +97,7 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
         raise InputError(
             f"--times: got {max(times):g} s, allowed: up to {float(gait.duration) - start:.4g} s with {steps} steps"
         )
-    variants = batches.reflex_variants(command.variant, REFLEXES, params, gait, command.allow_infeasible)
+    variants = batches.variants(command.variant, "payload", params, gait, command.allow_infeasible)
     options: sim.Options = simulation_options(params, gait)
     friction = floor_friction(params, gait) if command.friction is None else command.friction
     (friction,) = batches.numbers(

@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from jaxbiped import batch, files, planner, sim
 from jaxbiped.batch import part
+from jaxbiped.batch.columns import outcomes as columns_of
 from jaxbiped.commands import walk
 from jaxbiped.commands.common import (
     OVERWRITE_HELP,
@@ -87,8 +88,7 @@ def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
     heights = {step: row[batch.height_column(step)] for step in batch.steps_of(chosen.columns)}
     end = row.get("load_end_s", batch.NEVER)  # of a table of version 0.1: no such input yet
     loaded = row["load_kg"] > 0.0 and row["load_time_s"] < batch.NEVER
-    stages = ((controller.landing, "off"), (controller.payload, "off"))
-    names = [off if stage is None else row["variant"] for stage, off in stages]
+    names = ["off" if controller.stage(name) is None else row["variant"] for name in ("landing", "payload")]
     return Setup(
         robot=experiment.robot,
         gait=controller.gait,
@@ -107,7 +107,7 @@ def outcome(one: sim.Walk, setup: Setup) -> dict[str, Any]:
     """What a results table would say of this walk."""
     said = part.outcome_of(one, setup.controller, setup.scenario)
     columns = {name: np.asarray(value)[None] for name, value in said.items()}
-    return part.outcome_frame(columns).row(0, named=True)
+    return part.outcome_frame(columns, columns_of([setup.controller])).row(0, named=True)
 
 
 def differences(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:

@@ -18,19 +18,15 @@ from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
     ALLOW_HELP,
     GAITS,
-    LANDINGS,
     MODIFIED,
-    OFF,
-    REFLEXES,
     REPAIRED,
     clock_start,
     floor_friction,
     gait_name,
-    landing_of,
     load_variant,
     make_gait,
-    reflex_of,
     simulation_options,
+    stage_of,
     variant_tables,
 )
 from jaxbiped.commands.common import (
@@ -50,7 +46,7 @@ from jaxbiped.commands.common import (
 from jaxbiped.tune.descent import STATE
 
 WHAT_HELP = "What to tune: a stage (payload, landing), or names such as payload.settling_time, landing.T_mod, gait.b_s."
-BASES = {"payload": REFLEXES[1:], "landing": LANDINGS[1:]}
+BASES = {"payload": adapt.PayloadReflex.variants, "landing": adapt.Landing.variants}
 LIGHTEST, HEAVIEST = 0.02, 0.2
 """Of loads, as shares of the robot's mass."""
 HIGHEST = 0.04
@@ -142,7 +138,7 @@ def require_names(names: tuple[str, ...], gait: str) -> None:
     Raises:
         InputError: with the nearest name.
     """
-    known = [*BASES, *tunables.TUNABLES]
+    known = [*BASES, *tunables.known()]
     if gait in GAITS:
         known += [f"gait.{name}" for name in GAITS[gait].quantities]
     if not names or len(set(names)) < len(names):
@@ -198,11 +194,7 @@ def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tab
     base = {stage: command.variant or defaults[stage] for stage in stages}
     for stage, name in base.items():
         _require_base(name, stage)
-    variant = adapt.Controller(
-        gait,
-        landing=landing_of(base.get("landing", OFF)),
-        payload=reflex_of(base.get("payload", OFF), params, gait),
-    )
+    variant = adapt.Controller(gait, *(stage_of(stage, name, params, gait) for stage, name in base.items()))
     return {stage: {"base": name} for stage, name in base.items()}, variant
 
 

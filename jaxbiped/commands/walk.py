@@ -160,8 +160,8 @@ def simulate(setup: Setup) -> sim.Walk:
 
 
 def _tell(setup: Setup, walk: Any) -> Told:
-    trace, stage = walk.trace, setup.controller.payload
-    state = None if stage is None else walk.controller.payload
+    trace, stage = walk.trace, setup.controller.stage("payload")
+    state = None if stage is None else walk.controller.stages["payload"]
     shifts = (0.0, 0.0) if state is None else (float(state.world_shift), float(state.x_shift))
     plan = targets_at(setup.gait, trace.targets.time).position
     return Told(
@@ -205,7 +205,7 @@ def _result(told: Told) -> dict[str, Any]:
         "had_to_stand_until_s": round(until, 4) if np.isfinite(until) else None,
         "tilt_margin_deg": float(np.degrees(verdict.tilt_margin)),
         "out_of_reach_s": round(float(verdict.out_of_reach_time), 4),
-        "steps_without_touch": int(verdict.missed),
+        "steps_without_touch": _missed(told),
         "touches": [_touch(told, touch) for touch in told.touches],
         "reflexes": [
             {f"{name}_{unit}": _rounded(getattr(r, name)) for name, unit in _OF_REFLEX}
@@ -218,6 +218,12 @@ _OF_REFLEX = [
     *((name, "s") for name in ("triggered", "reflex_end", "settled", "shifted", "recovered", "resumed")),
     ("x_shift", "m"),
 ]
+
+
+def _missed(told: Told) -> int:
+    """Steps that ended without a touch, as far as landing adaptation watches for it."""
+    landing = told.setup.controller.stage("landing")
+    return 0 if landing is None else int(told.walk.controller.stages["landing"].missed)
 
 
 def _later(time: float, start: float | None) -> float | None:
@@ -234,7 +240,7 @@ def _touch(told: Told, touch: score.Touch) -> dict[str, Any]:
     commanded = np.asarray(told.walk.trace.targets.position.sole)[touch.end_row, foot]
     added = commanded - np.asarray(told.nominal.sole)[touch.end_row, foot]
     known = bool(np.all(np.isfinite(added)))
-    gait, landing = told.setup.gait, told.setup.controller.landing
+    gait, landing = told.setup.gait, told.setup.controller.stage("landing")
     lead = (
         nominal_T_mod(gait, told.setup.scenario.sensors.delta_z[0, 0]) if landing is None else landing.T_mod
     )
@@ -277,7 +283,7 @@ def _draw(figures: ModuleType, told: Told) -> dict[str, Any]:
             {"measured": trace}, f"Trunk and feet: {what}", events=touched
         ),
     }
-    if setup.controller.landing is not None:
+    if setup.controller.stage("landing") is not None:
         drawn["khadiv_fig11_modifications"] = figures.modifications(
             trace, nominal, f"Added to the plan: {what}"
         )
@@ -298,7 +304,7 @@ def _draw_payload(
         "elkahlout_fig4_3_references": figures.references(trace, events, f"Feet in the body frame: {what}"),
         "elkahlout_fig4_4_pitch": figures.pitch(trace, events, f"Trunk pitch: {what}"),
     }
-    stage = told.setup.controller.payload
+    stage = told.setup.controller.stage("payload")
     if stage is None:
         return drawn
     felt = figures.felt(full, stage.params)

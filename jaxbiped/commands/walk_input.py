@@ -16,11 +16,10 @@ from jaxbiped.commands.choices import (
     PAPER,
     REPAIRED,
     floor_friction,
-    landing_of,
     load_variant,
     make_gait,
-    reflex_of,
     simulation_options,
+    stage_of,
 )
 from jaxbiped.commands.choices import (
     gait_name as name_of_gait,
@@ -107,10 +106,12 @@ def set_up(
     if of_file is None:
         chosen = _variants(words, bool(pads), load is not None)
         controller = adapt.Controller(
-            gait, landing=landing_of(chosen.landing), payload=reflex_of(chosen.reflex, params, gait)
+            gait,
+            stage_of("landing", chosen.landing, params, gait),
+            stage_of("payload", chosen.reflex, params, gait),
         )
     else:
-        controller, stages = of_file, (of_file.landing, of_file.payload)
+        controller, stages = of_file, (of_file.stage("landing"), of_file.stage("payload"))
         chosen = Variants(*(OFF if stage is None else words[0] for stage in stages))
     options = simulation_options(params, gait)
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))

@@ -122,6 +122,6 @@ def _pressure_margin(
 def _delay(walk: sim.Walk) -> Scalar:
     """For how long the plan stood still [s]."""
     controller = walk.controller
-    if controller is None or controller.payload is None:
+    if controller is None:
         return jnp.zeros_like(walk.statistics.end_time)
-    return jnp.maximum(controller.payload.time - controller.plan_time, 0.0)
+    return jnp.maximum(controller.time - controller.plan_time, 0.0)

@@ -19,7 +19,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped import sim
 from jaxbiped.adapt import Controller, ControllerState
-from jaxbiped.adapt.payload import WALK
 from jaxbiped.planner import Gait
 from jaxbiped.sim import statistics
 from jaxbiped.sim.scenario import Payload
@@ -52,8 +51,6 @@ class Verdict(eqx.Module):
     """How much further the trunk could have tilted before it counted as a fall, in all the time simulated [rad]."""
     out_of_reach_time: Scalar
     """For how long the targets were beyond the legs' reach or joint ranges [s]."""
-    missed: Int[Array, ""]
-    """Steps that ended without a touch; 0 without landing adaptation."""
 
 
 def watch_time(controller: Controller, changes: int) -> float:
@@ -63,9 +60,7 @@ def watch_time(controller: Controller, changes: int) -> float:
         controller: with the gait and the stages of the walk.
         changes: how often the weight changes suddenly.
     """
-    if controller.payload is not None and not controller.payload.params.starts_again:
-        changes = min(changes, 1)
-    return float(controller.gait.duration) + STANDS_FOR + changes * controller.longest_delay()
+    return float(controller.gait.duration) + STANDS_FOR + controller.longest_delay(changes)
 
 
 def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
@@ -90,9 +85,6 @@ def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
     success = can & (plan_time >= goal - _SLACK)
     failed = stats.status != statistics.OK
     status = jnp.where(failed, stats.status, jnp.where(success, statistics.OK, UNFINISHED))
-    missed = (
-        0 if walk.controller is None or walk.controller.landing is None else walk.controller.landing.missed
-    )
     return Verdict(
         success=success,
         finished=walking & (plan_time >= gait.duration - _SLACK),
@@ -100,7 +92,6 @@ def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
         until=jnp.where(can, goal + delay, jnp.inf),
         tilt_margin=statistics.FALL_TILT - jnp.max(stats.peak_roll_pitch),
         out_of_reach_time=stats.out_of_reach_time,
-        missed=jnp.asarray(missed, jnp.int32),
     )
 
 
@@ -114,9 +105,7 @@ def _progress(controller: ControllerState | None, end_time: Scalar) -> tuple[Sca
     """Time, time in the plan, and whether the plan was being walked, at the controller's last tick."""
     if controller is None:
         return end_time, end_time, jnp.ones((), bool)
-    if controller.payload is None:
-        return controller.plan_time, controller.plan_time, jnp.ones((), bool)
-    return controller.payload.time, controller.plan_time, controller.payload.mode == WALK
+    return controller.time, controller.plan_time, controller.signals.walking
 
 
 def _first_whole_step(
@@ -126,9 +115,10 @@ def _first_whole_step(
     timing = gait.timing
     loaded_in = jnp.floor((change_time - delay - timing.first_liftoff) / timing.T_c)
     after_load = jnp.clip(loaded_in + 1, 0, timing.n_steps).astype(jnp.int32)
-    if controller is None or controller.payload is None:
+    if controller is None:
         return after_load
-    reflex = controller.payload
-    after_reflex = jnp.where(reflex.reflexes > 0, reflex.next_step, 0)
-    before_reflex = (reflex.reflexes > 0) & (change_time < reflex.resume_time)
-    return jnp.where(before_reflex, after_reflex, jnp.maximum(after_load, after_reflex))
+    signals = controller.signals
+    interrupted = signals.interruptions > 0
+    after_recovery = jnp.where(interrupted, signals.next_step, 0)
+    before_recovery = interrupted & (change_time < signals.resume_time)
+    return jnp.where(before_recovery, after_recovery, jnp.maximum(after_load, after_recovery))

@@ -164,8 +164,7 @@ class _Setting(eqx.Module):
 def _trigger(walk: sim.Walk) -> Float[Array, ""]:
     """Start of the last reflex [s]; 0 without one."""
     assert walk.controller is not None
-    payload = walk.controller.payload
-    return jnp.zeros_like(walk.statistics.end_time) if payload is None else payload.trigger_time
+    return walk.controller.signals.interrupted_time
 
 
 def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from jaxbiped import planner, robot
-from jaxbiped.adapt import Landing, PayloadReflex, PayloadStage, Sensed
-from jaxbiped.adapt.landing import LandingStage
-from jaxbiped.adapt.payload import REFLEX, WALK
+from jaxbiped.adapt import Landing, LandingStage, PayloadReflex, PayloadStage, Sensed, Signals
+from jaxbiped.adapt.reflex.planned import REFLEX, WALK
 
 DT = 0.002
 """Control tick [s]."""
@@ -42,7 +41,8 @@ def set_down(stage: LandingStage, gait: Any, time: jax.Array, instants: jax.Arra
             swing = (jnp.arange(2) == nominal.phase.swing)[:, None]
             closed = swing & (t - DT / age >= instant) & (jnp.arange(4) < 2)
             when = jnp.where(closed, instant, jnp.inf)
-            state, targets = stage.step(state, nominal, Sensed.nothing(t, switch=closed, switch_time=when))
+            sensed = Sensed.nothing(t, switch=closed, switch_time=when)
+            state, targets, _ = stage.step(state, gait, nominal, sensed, Signals.none())
             return state, jnp.concatenate([targets.position.sole, targets.position.pelvis[None]])
 
         return jax.lax.scan(tick, stage.init(), time)[1]
@@ -101,7 +101,7 @@ def followed(params: PayloadReflex, gait: Any, time: jax.Array) -> Any:
         t, force = row
         zmp = jnp.stack([params.zmp_balanced + 0.01, 0.0])
         sensed = Sensed.nothing(t, corner_force=jnp.full((2, 4), force / 8.0), zmp_body=zmp)
-        state, targets = stage.step(state, gait, sensed, jnp.zeros((), bool))
+        state, targets, _ = stage.step(state, gait, planner.at(gait, t), sensed, Signals.none())
         wanted, rate = (order.sole - order.pelvis for order in (targets.position, targets.velocity))
 
         def substep(carry: Any, i: jax.Array) -> Any:

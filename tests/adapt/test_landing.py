@@ -23,7 +23,7 @@ from landing_transcription import (
 from jaxbiped import planner, robot
 from jaxbiped.adapt import Controller, Landing, Sensed
 from jaxbiped.adapt.blends import longest_time_to_rest
-from jaxbiped.adapt.landing import SMALLEST_T_MOD, LandingStage, _descent, _longest_set_down, nominal_T_mod
+from jaxbiped.adapt.landing import SMALLEST_T_MOD, LandingStage, descent, longest_set_down, nominal_T_mod
 
 DT = 0.002
 N_STEPS = 6
@@ -60,7 +60,7 @@ def walk(controller, heights, ticks, delta_z=DELTA_Z):
 
     start = (controller.init(), controller.gait.task(jnp.zeros(())).sole, jnp.full(2, jnp.inf))
     (state, _, _), rows = jax.lax.scan(tick, start, jnp.arange(ticks))
-    return *rows, state.landing.missed
+    return *rows, state.stages["landing"].missed
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_landing_on_time_alone_is_finite_and_as_with_nearly_no_gap(x64, gait, ma
 
     def commands(delta_z, speed):
         params = make(delta_z=delta_z, descent_speed=speed)
-        bodies, *_, missed = walk(Controller(gait, landing=params), heights, ticks, delta_z)
+        bodies, *_, missed = walk(Controller(gait, params), heights, ticks, delta_z)
         return bodies, missed
 
     zero, speed = jnp.zeros(()), jnp.asarray(0.2)
@@ -160,7 +160,7 @@ def test_T_star_of_a_foot_that_does_not_go_down(x64):
     rng = np.random.default_rng(2)
     rates = rng.uniform((0.0, -6.0, 0.003), (0.3, 3.0, 0.03), (2000, 3))
     rates[::10, 0] = 0.0
-    ours = np.asarray(jax.vmap(_longest_set_down)(*jnp.asarray(rates).T))
+    ours = np.asarray(jax.vmap(longest_set_down)(*jnp.asarray(rates).T))
     np.testing.assert_allclose(ours, [longest_T_mod(*one) for one in rates], rtol=1e-9)
     s = np.linspace(0.0, 1.0, 2000)
     for (v, a, dz), T in zip(rates[::20], ours[::20], strict=True):
@@ -172,7 +172,7 @@ def test_T_star_of_a_foot_that_does_not_go_down(x64):
 
 
 def test_flat_ground_stays_within_a_millimetre_of_the_plan(x64, gait):
-    ours, plan, *_ = walk(Controller(gait, landing=Landing.repaired()), heights_of(), ticks_of(gait))
+    ours, plan, *_ = walk(Controller(gait, Landing.repaired()), heights_of(), ticks_of(gait))
     assert np.abs(ours[:, 0] - plan[:, 0]).max() < 1e-3
 
 
@@ -180,9 +180,7 @@ def test_flat_ground_stays_within_a_millimetre_of_the_plan(x64, gait):
 @pytest.mark.parametrize("height", [0.01, 0.03, 0.05])
 def test_obstacle_is_stood_on_and_released(x64, gait, variant, height):
     """The foot stands at the obstacle's height until T_c; one single support later nothing is left vertically."""
-    ours, plan, _, phase, missed = walk(
-        Controller(gait, landing=variant()), heights_of(step2=height), ticks_of(gait)
-    )
+    ours, plan, _, phase, missed = walk(Controller(gait, variant()), heights_of(step2=height), ticks_of(gait))
     foot = int((gait.first_swing + 2) % 2)
     kept = np.flatnonzero((phase.step == 2) & (phase.time_since_liftoff > gait.params.T_s + 0.05))
     added = np.asarray(ours - plan)[:, 0]
@@ -197,9 +195,7 @@ def test_obstacle_is_stood_on_and_released(x64, gait, variant, height):
 @pytest.mark.parametrize("variant", [Landing.paper, Landing.repaired])
 @pytest.mark.parametrize("depth", [0.02, 0.04])
 def test_hole_is_reached_with_the_pelvis_following(x64, gait, variant, depth):
-    ours, plan, _, phase, missed = walk(
-        Controller(gait, landing=variant()), heights_of(step2=-depth), ticks_of(gait)
-    )
+    ours, plan, _, phase, missed = walk(Controller(gait, variant()), heights_of(step2=-depth), ticks_of(gait))
     foot = int((gait.first_swing + 2) % 2)
     end = np.flatnonzero(phase.step == 2)[-1]
     added = np.asarray(ours - plan)[end, 0]
@@ -212,7 +208,7 @@ def test_hole_is_reached_with_the_pelvis_following(x64, gait, variant, depth):
 def test_repaired_commands_are_smooth(x64, gait):
     """C1 everywhere: between ticks no more than velocity and steps of the descent's acceleration explain."""
     heights = heights_of(step1=0.03, step2=-0.03, step4=0.02)
-    ours, *_ = walk(Controller(gait, landing=Landing.repaired()), heights, ticks_of(gait))
+    ours, *_ = walk(Controller(gait, Landing.repaired()), heights, ticks_of(gait))
     p, v, a = np.moveaxis(np.asarray(ours), 1, 0)
     predicted = p[:-1] + DT * v[:-1] + 0.5 * DT**2 * a[:-1]
     step = float(Landing().descent_acceleration)
@@ -222,7 +218,7 @@ def test_repaired_commands_are_smooth(x64, gait):
 
 def test_a_touch_that_never_comes_stops_and_is_counted(x64, gait):
     ours, plan, _, phase, missed = walk(
-        Controller(gait, landing=Landing.repaired()), heights_of(step2=-1.0), ticks_of(gait)
+        Controller(gait, Landing.repaired()), heights_of(step2=-1.0), ticks_of(gait)
     )
     assert int(missed) == 1
     foot = int((gait.first_swing + 2) % 2)
@@ -238,7 +234,7 @@ def test_descent_ends_where_it_may(x64, max_descent):
     """Also where the descent's speed could not be stopped that soon (v^2 / a = 13.3 mm); its acceleration is kept."""
     p = Landing.repaired(max_descent=jnp.asarray(max_descent))
     t = np.linspace(-0.1, 1.5, 3201)
-    depth = np.asarray(jax.vmap(lambda t: _descent(p, t, jnp.asarray(1.0)))(jnp.asarray(t)))
+    depth = np.asarray(jax.vmap(lambda t: descent(p, t, jnp.asarray(1.0)))(jnp.asarray(t)))
     assert depth[t <= 0.0].max() == 0.0
     assert depth.max() == pytest.approx(max_descent, abs=1e-12)
     np.testing.assert_allclose(depth[t > 1.0], max_descent, rtol=0.0, atol=1e-12)
@@ -276,11 +272,11 @@ def test_a_touch_inside_a_tick_starts_from_the_rates_there(x64, gait, commanded)
 def test_random_ground_is_met_as_in_the_transcription(x64, gait, variant, repairs, seed):
     """Random ground under every step: the stage's commands are those of the tick-by-tick transcription."""
     heights = np.random.default_rng(seed).uniform(-0.04, 0.05, N_STEPS)
-    controller = Controller(gait, landing=variant())
+    controller = Controller(gait, variant())
     ours, plan, switches, phase, _ = jax.tree.map(
         np.asarray, walk(controller, jnp.asarray(heights), ticks_of(gait))
     )
-    stage = controller.landing
+    stage = controller.stage("landing")
     assert stage is not None
     p = stage.params
     numbers = Numbers(

@@ -16,7 +16,7 @@ import pytest
 from landing_transcription import ALL_REPAIRS, Commands, Numbers, Plan, Readings, Repairs, commands
 
 from jaxbiped import planner, robot
-from jaxbiped.adapt import Landing, Sensed
+from jaxbiped.adapt import Landing, Sensed, Signals
 from jaxbiped.adapt.landing import LandingStage
 
 N_STEPS = 6
@@ -169,7 +169,7 @@ def stage_of(params: Landing, gait: Any) -> LandingStage:
 
 @eqx.filter_jit
 def play(
-    stages: LandingStage, nominal: planner.Targets, closed: jax.Array, closed_at: jax.Array
+    stages: LandingStage, gait: Any, nominal: planner.Targets, closed: jax.Array, closed_at: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """What the stages command at every tick of a batch of histories, and how many touches they missed."""
 
@@ -177,7 +177,7 @@ def play(
         def tick(state: Any, row: Any) -> tuple[Any, jax.Array]:
             targets, closed, closed_at = row
             sensed = Sensed.nothing(targets.time, switch=closed, switch_time=closed_at)
-            state, commanded = stage.step(state, targets, sensed)
+            state, commanded, _ = stage.step(state, gait, targets, sensed, Signals.none())
             return state, three_bodies(commanded)
 
         state, rows = jax.lax.scan(tick, stage.init(), (nominal, closed, closed_at))
@@ -214,7 +214,7 @@ def play_batch(variant: str, walk: Walk, seed: int) -> tuple[np.ndarray, np.ndar
     landings = [make(**{name: jnp.asarray(value) for name, value in one.items()}) for one in chosen]
     stages = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(stage_of(p, walk.gait) for p in landings))
     closed, closed_at = (jnp.asarray(np.stack(leaves)) for leaves in zip(*readings, strict=True))
-    ours, missed = jax.tree.map(np.asarray, play(stages, walk.nominal, closed, closed_at))
+    ours, missed = jax.tree.map(np.asarray, play(stages, walk.gait, walk.nominal, closed, closed_at))
     delta_z = np.array([float(p.delta_z) for p in landings])
     times, ways = times_and_ways(walk, delta_z, [one.get("T_mod") for one in chosen])
     theirs = []

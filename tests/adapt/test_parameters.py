@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from jaxbiped import robot
-from jaxbiped.adapt import Landing, PayloadReflex, landing, payload
-from jaxbiped.adapt.tunables import DECLARED, TUNABLES
+from jaxbiped.adapt import STAGES, Landing, PayloadReflex, tunables
+from jaxbiped.adapt.parameters import declared as declared_by
 from jaxbiped.checked import Flag, Quantity
 from jaxbiped.planner import CosineGait
 
 NUMBERS = [
     (record, name, declared)
-    for record, parameters in ((Landing, landing.PARAMETERS), (PayloadReflex, payload.PARAMETERS))
-    for name, declared in parameters.items()
+    for record in (Landing, PayloadReflex)
+    for name, declared in declared_by(record).items()
     if isinstance(declared, Quantity)
 ]
 SWITCHES = [
     (record, name)
-    for record, parameters in ((Landing, landing.PARAMETERS), (PayloadReflex, payload.PARAMETERS))
-    for name, declared in parameters.items()
+    for record in (Landing, PayloadReflex)
+    for name, declared in declared_by(record).items()
     if isinstance(declared, Flag)
 ]
 
@@ -48,7 +48,7 @@ def walk():
 
 @pytest.mark.parametrize("record", [Landing, PayloadReflex])
 def test_every_parameter_is_declared_with_its_text(record):
-    declared = landing.PARAMETERS if record is Landing else payload.PARAMETERS
+    declared = declared_by(record)
     assert [field.name for field in dataclasses.fields(record)] == list(declared)
     assert all(parameter.text.endswith(".") for parameter in declared.values())
     for name, parameter in declared.items():
@@ -162,7 +162,7 @@ def test_unknown_parameters_are_a_type_error_with_the_nearest(walk):
         with pytest.raises(TypeError, match=r"settlingtime: unknown, .*did you mean 'settling_time'\?"):
             call(*walk, settlingtime=0.2)
     with pytest.raises(TypeError):
-        Landing(**{"descent_sped": 0.2})
+        Landing(**{"descent_sped": 0.2})  # type: ignore[arg-type]
 
 
 def test_traced_values_are_not_judged():
@@ -179,9 +179,9 @@ def test_another_value_is_checked_too():
         dataclasses.replace(Landing(), T_mod=math.nan)
 
 
-@pytest.mark.parametrize("name", TUNABLES)
+@pytest.mark.parametrize("name", tunables.known())
 def test_tunables_stay_within_what_is_declared(name):
-    tunable = TUNABLES[name]
-    declared = DECLARED[tunable.stage][tunable.field]
+    tunable = tunables.known()[name]
+    declared = declared_by(STAGES[tunable.stage])[tunable.field]
     assert isinstance(declared, Quantity) and tunable.unit == declared.unit
     assert declared.contains([tunable.low, tunable.high]).all()

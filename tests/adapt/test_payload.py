@@ -24,18 +24,10 @@ from payload_transcription import (
 )
 
 from jaxbiped import robot
-from jaxbiped.adapt import PayloadReflex, PayloadStage, Sensed
-from jaxbiped.adapt import payload as of_payload
-from jaxbiped.adapt.payload import (
-    FORCE_TIME_CONSTANT,
-    HOLD,
-    RECOVER,
-    REFLEX,
-    SETTLE,
-    SHIFT,
-    WALK,
-    ZMP_TIME_CONSTANT,
-)
+from jaxbiped.adapt import PayloadReflex, PayloadStage, Sensed, Signals
+from jaxbiped.adapt.reflex import parameters
+from jaxbiped.adapt.reflex.parameters import FORCE_TIME_CONSTANT, ZMP_TIME_CONSTANT
+from jaxbiped.adapt.reflex.planned import HOLD, RECOVER, REFLEX, SETTLE, SHIFT, WALK, decided
 from jaxbiped.planner import (
     DOUBLE_SUPPORT,
     PLANNED_STEP,
@@ -103,7 +95,9 @@ def _stepped(params, gait, readings, orders):
 
         def tick(state, row):
             time, force, zmp, shaken = row
-            state, targets = stage.step(state, gait, reading(time, force, zmp), shaken)
+            signals = dataclasses.replace(Signals.none(), disturbed=shaken)
+            sensed = reading(time, force, zmp)
+            state, targets, _ = stage.step(state, gait, at(gait, time), sensed, signals)
             motion = [targets.position, targets.velocity, targets.acceleration][:orders]
             row = {
                 "motion": jnp.stack([bodies(order) for order in motion]),
@@ -771,7 +765,7 @@ def test_unknown_values_are_not_judged():
 
 
 def test_a_given_threshold_spares_the_look_at_the_plan(x64, monkeypatch):
-    monkeypatch.setattr(of_payload, "planned_ripple", lambda *_: pytest.fail("looked"))
+    monkeypatch.setattr(parameters, "planned_ripple", lambda *_: pytest.fail("looked"))
     biped, gait = robot.load("elkahlout"), preset("cosine", "elkahlout", 3, 0)
     given = {"threshold": 50.0, "zmp_balanced": -0.03, "x_stand": 0.0}
     for variant in VARIANTS:
@@ -836,7 +830,7 @@ def test_a_load_at_the_threshold_is_felt_by_the_whole_record():
 @pytest.mark.parametrize("lanes", [1, 100])
 def test_the_decision_is_compiled_once(lanes):
     """What is fused into its uses is computed in each of them; a sort is not."""
-    compiled = jax.jit(jax.vmap(of_payload._decided)).lower(jnp.zeros(lanes, jnp.int32)).compile()
+    compiled = jax.jit(jax.vmap(decided)).lower(jnp.zeros(lanes, jnp.int32)).compile()
     text = compiled.as_text()
     assert text is not None
     assert " sort(" in text
@@ -852,7 +846,8 @@ def walk_of(params, gait, time, force):
 
     def tick(state, row):
         t, total = row
-        return stage.step(state, gait, reading(t, total, 0.01 * t), jnp.zeros((), bool))
+        sensed = reading(t, total, 0.01 * t)
+        return stage.step(state, gait, at(gait, t), sensed, Signals.none())[:2]
 
     return jax.lax.scan(tick, stage.init(), (time, force))[1]
 

@@ -9,7 +9,6 @@ import pytest
 
 from jaxbiped import robot
 from jaxbiped.adapt import Controller, Landing, PayloadReflex, tunables
-from jaxbiped.adapt.tunables import TUNABLES
 from jaxbiped.commands.choices import load_variant
 from jaxbiped.planner import GaitError, PolynomialGait, StartStop, violations
 
@@ -32,7 +31,7 @@ def moved(found, at):
 def test_defaults_lie_within_their_bounds(made):
     _, controller = made
     found = tunables.find(["landing", "payload"], controller)
-    assert [t.name for t in found] == list(TUNABLES)
+    assert [t.name for t in found] == list(tunables.known())
     for t, value in zip(found, np.asarray(tunables.values(controller, found)), strict=True):
         assert t.low <= value <= t.high, t.name
         assert t.unit in ("m", "s", "m/s", "N", "")
@@ -40,15 +39,17 @@ def test_defaults_lie_within_their_bounds(made):
 
 def test_applied_values_are_those_of_the_controller_and_the_rest_stays(made):
     biped, controller = made
-    found = tunables.find([*TUNABLES, "gait.x_s", "gait.T_s"], controller)
+    found = tunables.find([*tunables.known(), "gait.x_s", "gait.T_s"], controller)
     new = moved(found, np.asarray(tunables.values(controller, found), float))
     other: Any = tunables.apply(biped, controller, found, new)
     np.testing.assert_allclose(tunables.values(other, found), new, rtol=1e-6)
-    assert other.payload.params.slow_threshold == controller.payload.params.slow_threshold
+    assert other.stage("payload").params.slow_threshold == controller.stage("payload").params.slow_threshold
     assert jax.tree.structure(other.gait) == jax.tree.structure(controller.gait)
     assert other.gait.timing.T_s == pytest.approx(float(new[-1]))
     # what a stage reads off the plan is read off the new one
-    assert not np.allclose(other.payload.resume_plan_time, controller.payload.resume_plan_time)
+    assert not np.allclose(
+        other.stage("payload").resume_plan_time, controller.stage("payload").resume_plan_time
+    )
 
 
 def test_the_same_values_give_the_same_controller(made):
@@ -64,10 +65,11 @@ def test_the_same_values_give_the_same_controller(made):
 def test_one_place_of_a_table_is_one_tunable(made):
     biped, controller = made
     for t in tunables.find(
-        [name for name in TUNABLES if ".x_left" in name or ".x_right" in name], controller
+        [name for name in tunables.known() if ".x_left" in name or ".x_right" in name], controller
     ):
         _, stages = tunables.with_values(biped, controller, [t], jnp.array([0.037]))
-        changed = np.asarray(stages["payload"].x_reflex) != np.asarray(controller.payload.params.x_reflex)
+        reflex: Any = next(stage for stage in stages if stage.name == "payload")
+        changed = np.asarray(reflex.x_reflex) != np.asarray(controller.stage("payload").params.x_reflex)
         assert changed.sum() == 1 and changed[t.index]
 
 
@@ -101,7 +103,7 @@ def test_tables_of_a_file(made):
     )
     tables = tunables.as_tables(biped, controller, found, [0.02, 3.0, 0.1])
     assert tables["landing"] == {"T_mod": 0.1} and tables["payload"]["settling_time"] == 3.0
-    wanted = np.array(controller.payload.params.x_reflex, float)
+    wanted = np.array(controller.stage("payload").params.x_reflex, float)
     wanted[0, 0] = 0.02
     np.testing.assert_allclose(tables["payload"]["x_reflex"], wanted)
 
@@ -111,7 +113,9 @@ def test_what_was_read_off_another_plan_is_written_down(made):
     found = tunables.find(["gait.x_s"], controller)
     tables = tunables.as_tables(biped, controller, found, [0.05])
     assert tables["gait"] == {"x_s": 0.05}
-    assert tables["payload"]["threshold"] == pytest.approx(float(controller.payload.params.threshold))
+    assert tables["payload"]["threshold"] == pytest.approx(
+        float(controller.stage("payload").params.threshold)
+    )
 
 
 ENDS = [f"gait.start_stop.{name}" for name in StartStop.__dataclass_fields__]

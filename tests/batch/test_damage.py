@@ -200,7 +200,7 @@ def test_description_changed_by_hand_is_not_believed(folder):
         folder.run()
 
 
-BROKEN_KEYS = [{"key": "0" * 64}, {"key": None}, *({"format": f} for f in (1, 3, True, "new"))]
+BROKEN_KEYS = [{"key": "0" * 64}, {"key": None}, *({"format": f} for f in (1, 4, True, "new"))]
 
 
 @pytest.mark.parametrize("changed", BROKEN_KEYS)

@@ -23,7 +23,7 @@ def every_record():
         for gait in (planner.PolynomialGait.preset(params, 3), planner.CosineGait.preset(params, 3)):
             yield adapt.Controller(gait)
             for landing in (adapt.Landing.paper(), adapt.Landing.repaired()):
-                yield adapt.Controller(gait, landing=landing)
+                yield adapt.Controller(gait, landing)
     yield sim.Scenario.flat()
     yield sim.Options(control_every=3, noise=True)
 
@@ -40,7 +40,7 @@ def test_every_record_of_an_experiment_comes_back_bit_for_bit():
 def test_reflex_comes_back_and_still_steps():
     params = robot.load("elkahlout")
     gait = planner.CosineGait.preset(params, 3)
-    controller = adapt.Controller(gait, payload=adapt.PayloadReflex.modified(params, gait, threshold=40.0))
+    controller = adapt.Controller(gait, adapt.PayloadReflex.modified(params, gait, threshold=40.0))
     back = there_and_back(controller)
     assert jax.tree.structure(back.init()) == jax.tree.structure(controller.init())
 
@@ -110,7 +110,7 @@ def test_differences_name_the_place():
     params = robot.load("surena3")
     gait = planner.PolynomialGait.preset(params, 3)
     old, new = (
-        records.to_json(adapt.Controller(gait, landing=adapt.Landing.repaired(descent_speed=speed)))
+        records.to_json(adapt.Controller(gait, adapt.Landing.repaired(descent_speed=speed)))
         for speed in (0.2, 0.25)
     )
     found = list(records.differences(old, new))

@@ -28,7 +28,7 @@ def experiment(surena, rows=20, **changed):
     params, gait = surena
     variants = {
         "off": adapt.Controller(gait),
-        "repaired": adapt.Controller(gait, landing=adapt.Landing.repaired()),
+        "repaired": adapt.Controller(gait, adapt.Landing.repaired()),
     }
     table = batch.grid(friction=np.linspace(0.4, 0.9, rows).tolist())
     given = {"robot": params, "variants": variants, "scenarios": table, "batch": 8, "duration": 0.02}
@@ -124,7 +124,7 @@ CHANGES = {
     "variant": lambda s: {
         "variants": {
             "off": adapt.Controller(s[1]),
-            "repaired": adapt.Controller(s[1], landing=adapt.Landing.repaired(descent_speed=0.21)),
+            "repaired": adapt.Controller(s[1], adapt.Landing.repaired(descent_speed=0.21)),
         }
     },
     "gait": lambda s: {"variants": {"off": adapt.Controller(planner.PolynomialGait.preset(s[0], 3))}},

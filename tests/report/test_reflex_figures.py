@@ -21,9 +21,8 @@ EVENTS = report.payload_events(2.4, [RECOVERY])
 
 @pytest.fixture(scope="module")
 def params() -> PayloadReflex:
-    return PayloadReflex(
-        zmp_balanced=-0.035, threshold=25.0, force_time_constant=0.09975, zmp_time_constant=0.99975
-    )
+    given: Any = {"threshold": 25.0, "force_time_constant": 0.09975, "zmp_time_constant": 0.99975}
+    return PayloadReflex(zmp_balanced=jnp.asarray(-0.035), **given)
 
 
 @pytest.fixture(scope="module")

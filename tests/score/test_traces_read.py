@@ -103,7 +103,7 @@ def test_nothing_is_read_after_a_fall(gait, planned):
 def reflexive(gait) -> tuple[sim.Sample, Any, PayloadReflex]:
     """The payload stage under a load felt from LOADED on, without a robot: its trace and its last state."""
     params = PayloadReflex.modified(robot.load("elkahlout"), gait)
-    controller = Controller(gait, payload=params)
+    controller = Controller(gait, params)
 
     def tick(state, time):
         force = (WEIGHT + jnp.where(time > LOADED, LOAD, 0.0)) / 8.0
@@ -116,7 +116,7 @@ def reflexive(gait) -> tuple[sim.Sample, Any, PayloadReflex]:
 
     time = jnp.arange(1, round(20.0 / DT)) * DT
     state, targets = eqx.filter_jit(lambda: jax.lax.scan(tick, controller.init(), time))()
-    return sample(targets, time, np.zeros((len(time), 2, 4), bool)), state.payload, params
+    return sample(targets, time, np.zeros((len(time), 2, 4), bool)), state.stages["payload"], params
 
 
 def test_a_reflex_is_read_off_the_trace(reflexive):

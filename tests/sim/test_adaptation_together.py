@@ -31,7 +31,7 @@ def play(controller: Controller, ground: Any, load_time: Any, ticks: int) -> Any
         Commanded soles and pelvis, the mode at every tick, and the last state.
     """
 
-    stage = controller.payload
+    stage = controller.stage("payload")
     assert stage is not None
 
     def tick(carry: Any, time: Any) -> Any:
@@ -46,8 +46,8 @@ def play(controller: Controller, ground: Any, load_time: Any, ticks: int) -> Any
             zmp_body=jnp.stack([stage.params.zmp_balanced + 0.01, jnp.zeros(())]),
         )
         state, targets = controller.step(state, sensed)
-        assert state.payload is not None
-        row = (targets.position.sole, targets.position.pelvis, state.payload.mode)
+        assert state.stages["payload"] is not None
+        row = (targets.position.sole, targets.position.pelvis, state.stages["payload"].mode)
         return (state, targets.position.sole), row
 
     start = (controller.init(), controller.gait.task(jnp.zeros(())).sole)
@@ -68,7 +68,7 @@ def both() -> Controller:
 
     @partial(jax.jit, compiler_options=NOT_OPTIMISED)
     def make(biped: Any, gait: Any) -> Controller:
-        return Controller(gait, landing=Landing.repaired(), payload=PayloadReflex.repaired(biped, gait))
+        return Controller(gait, Landing.repaired(), PayloadReflex.repaired(biped, gait))
 
     return make(biped, gait)
 
@@ -90,7 +90,7 @@ def walks(both) -> Any:
 @pytest.mark.parametrize("ground", range(len(GROUNDS)))
 def test_commands_stay_continuous_through_obstacle_and_load(walks, ground, load):
     sole, pelvis, mode, state = jax.tree.map(lambda leaf: leaf[ground, load], walks)
-    assert state.payload.reflexes == 1
+    assert state.stages["payload"].reflexes == 1
     assert mode[-1] == 0
     for path in (sole.reshape(-1, 6), pelvis):
         speed = np.abs(np.diff(path, axis=0)).max() / DT
@@ -114,7 +114,7 @@ def test_load_during_a_walk_over_obstacles():
     """surena3 in closed loop: a load before, on and after an obstacle, and an obstacle after the recovery."""
     biped = robot.load("surena3")
     gait = planner.PolynomialGait.preset(biped, 8)
-    controller = Controller(gait, landing=Landing.repaired(), payload=PayloadReflex.repaired(biped, gait))
+    controller = Controller(gait, Landing.repaired(), PayloadReflex.repaired(biped, gait))
     options, duration = Options(), float(gait.duration) + 12.0
     flat = Scenario.flat(1)
     cases = [
@@ -128,5 +128,5 @@ def test_load_during_a_walk_over_obstacles():
     batch = jax.tree.map(lambda *leaf: jnp.stack(leaf), *cases)
     walk = jax.tree.map(np.asarray, prepare(biped, controller, options).run_many(batch, duration))
     np.testing.assert_array_equal(walk.statistics.status, 0)
-    assert np.all(walk.controller.payload.reflexes >= 1)
+    assert np.all(walk.controller.stages["payload"].reflexes >= 1)
     assert np.all(np.degrees(walk.statistics.peak_roll_pitch) < 8.0)

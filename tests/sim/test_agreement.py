@@ -113,8 +113,8 @@ def test_every_variant_can_be_made():
         for variant, (stages, options) in variants.items():
             _, controller, chosen = agreement.set_up(name, variant)
             landing, payload = agreement.STAGES[stages]
-            assert (controller.landing is None) == (landing == "off")
-            assert (controller.payload is None) == (payload == "off")
+            assert (controller.stage("landing") is None) == (landing == "off")
+            assert (controller.stage("payload") is None) == (payload == "off")
             assert (chosen.payload_model == "thesis") == (options == "thesis")
 
 

@@ -45,7 +45,7 @@ def landing(height: float) -> Case:
 
     def make(gait: Any, tuned: jax.Array) -> Controller:
         T_mod, speed = tuned
-        return Controller(gait, landing=Landing.repaired(T_mod=T_mod, descent_speed=speed))
+        return Controller(gait, Landing.repaired(T_mod=T_mod, descent_speed=speed))
 
     options = Options(trace_every=10)
     return scores(biped, gait, scenario, options, 7.5, make), {"T_mod": 0.07, "descent_speed": 0.2}
@@ -62,7 +62,7 @@ def reflex() -> Case:
         offset, time = tuned
         table = jnp.stack([jnp.stack([-offset, offset]), jnp.stack([offset, -offset]), jnp.zeros(2)])
         payload = eqx.tree_at(lambda p: (p.x_reflex, p.reflex_time), base, (table, time))
-        return Controller(gait, payload=payload)
+        return Controller(gait, payload)
 
     options = Options(feed_forward=False, control_every=1, payload_model="thesis", trace_every=20)
     return scores(biped, gait, scenario, options, 4.5, make), {"x_reflex": 0.01, "reflex_time": 0.1}

@@ -58,7 +58,7 @@ def test_switches_that_close_on_the_ground_walk_as_those_of_1_mm(surena, name):
     make = {"repaired": adapt.Landing.repaired, "paper": adapt.Landing.paper}[name]
     rows = {}
     for delta_z in (0.0, 1e-3):
-        variant = {name: adapt.Controller(gait, landing=make(delta_z=delta_z))}
+        variant = {name: adapt.Controller(gait, make(delta_z=delta_z))}
         table = walked(params, variant, grid(delta_z_m=delta_z, step_2_height_m=[0.0, 0.02, -0.02]))
         numbers = table.select(pl.col(pl.Float64).exclude("trigger_s")).to_numpy()
         assert np.isfinite(numbers).all()

@@ -10,9 +10,9 @@ from c_mujoco import as_arrays, flat, load, motions, random_states
 from scipy.spatial.transform import Rotation
 
 from jaxbiped import robot
-from jaxbiped.adapt import PayloadReflex, PayloadStage
-from jaxbiped.adapt.payload import SHIFT
-from jaxbiped.planner import CosineGait
+from jaxbiped.adapt import PayloadReflex, PayloadStage, Signals
+from jaxbiped.adapt.reflex.planned import SHIFT
+from jaxbiped.planner import CosineGait, at
 from jaxbiped.robot import SIDE_NAMES
 from jaxbiped.sim import build_model, ground, mjx_adapter, sensors
 from jaxbiped.sim.ground import Contact
@@ -342,7 +342,7 @@ def test_a_reflex_shifts_by_the_noisy_zmp_it_reads(on_both_feet):
     def walk(with_noise):
         def tick(state, i):
             seen = reading(i, with_noise)
-            state, _ = stage.step(state, gait, seen, jnp.zeros((), bool))
+            state, *_ = stage.step(state, gait, at(gait, seen.time), seen, Signals.none())
             return state, (seen.zmp_body[0], state.mode)
 
         return jax.lax.scan(tick, stage.init(), jnp.arange(n))

@@ -18,7 +18,7 @@ COARSE = Options(dt=2e-3, control_every=2)
 def surena() -> Simulation:
     params = robot.load("surena3")
     gait = PolynomialGait.preset(params, 2)
-    return prepare(params, Controller(gait, landing=Landing.repaired()), COARSE)
+    return prepare(params, Controller(gait, Landing.repaired()), COARSE)
 
 
 def test_one_program_for_every_duration_and_robot_of_a_kind(surena, compilations):

@@ -29,7 +29,7 @@ def _verdicts(walks: Any, gait: Any, scenarios: Any) -> Any:
 def thesis_walks(gait: Any, cases: list[tuple[float, float]], variant: str, duration: float) -> Any:
     """Verdicts, statistics and reflexes of the thesis' robot under loads (kg, s on the thesis' clock)."""
     params = robot.load("elkahlout")
-    controller = Controller(gait, payload=getattr(PayloadReflex, variant)(params, gait))
+    controller = Controller(gait, getattr(PayloadReflex, variant)(params, gait))
     floor = Scenario.flat(1).with_friction(choices.floor_friction(params, gait))
     start = choices.clock_start(gait)
     scenarios = [floor.with_payload(load, start + at) if load else floor for load, at in cases]
@@ -37,7 +37,7 @@ def thesis_walks(gait: Any, cases: list[tuple[float, float]], variant: str, dura
     stacked = jax.tree.map(lambda *leaf: jnp.stack(leaf), *scenarios)
     walks = prepare(params, controller, options).run_many(stacked, duration)
     assert walks.controller is not None
-    found = (_verdicts(walks, gait, stacked), walks.statistics, walks.controller.payload)
+    found = (_verdicts(walks, gait, stacked), walks.statistics, walks.controller.stages["payload"])
     return jax.tree.map(np.asarray, found)
 
 
@@ -70,7 +70,7 @@ def unloaded(name: str, n: int, seed: int, variants: tuple[str, ...]) -> pl.Data
     gait = {"elkahlout": CosineGait, "surena3": PolynomialGait}[name].preset(params, STEPS)
     landing = Landing.repaired() if name == "surena3" else None
     controllers = {
-        variant: Controller(gait, landing=landing, payload=getattr(PayloadReflex, variant)(params, gait))
+        variant: Controller(gait, landing, getattr(PayloadReflex, variant)(params, gait))
         for variant in variants
     }
     floor = choices.floor_friction(params, gait)

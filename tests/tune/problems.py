@@ -30,7 +30,7 @@ def payload(
     """elkahlout with the modified reflex and a load at any time of its first step."""
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
-    variant = Controller(gait, payload=PayloadReflex.modified(robot, gait))
+    variant = Controller(gait, PayloadReflex.modified(robot, gait))
     loads: dict[str, Any] = {"load_kg": Uniform(3.0, heaviest), "load_time_s": Uniform(1.5, 3.5)}
     scenarios = jb.batch.draw(n, seed, **loads, friction=friction)
     return Problem.of(
@@ -42,7 +42,7 @@ def landing(n: int, duration: float, names: Any = LANDING, seed: int = 1) -> Pro
     """surena3 with the repaired landing and a pad or a hole under its second step."""
     robot = jb.robot.load("surena3")
     gait = jb.planner.PolynomialGait.preset(robot, 6)
-    variant = Controller(gait, landing=Landing.repaired())
+    variant = Controller(gait, Landing.repaired())
     heights = tuple(float(h) for h in np.linspace(-0.04, 0.04, 33) if abs(h) > 0.004)
     scenarios = jb.batch.draw(n, seed, step_1_height_m=Choice(heights), friction=Uniform(0.6, 1.0))
     return Problem.of(jb.batch.Experiment(robot, {"repaired": variant}, scenarios, duration=duration), names)

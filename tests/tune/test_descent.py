@@ -195,7 +195,7 @@ def test_settings_that_cannot_be_meant_are_refused(name, value):
 def of(slopes, status=None):
     """A gradient of two tunables with ranges 1 and 2."""
     slopes = np.asarray(slopes, float)
-    ts = (Tunable("payload.a", 0.0, 1.0, "s", ""), Tunable("payload.b", -1.0, 1.0, "m", ""))
+    ts = (Tunable("payload.a", 0.0, 1.0, "s", "", "a"), Tunable("payload.b", -1.0, 1.0, "m", "", "b"))
     n = len(slopes)
     status = np.zeros(n, int) if status is None else np.asarray(status)
     growth = np.ones((n, 8, 2))

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from jaxbiped import kinematics, planner, robot
-from jaxbiped.adapt import Landing, PayloadReflex, PayloadStage, Sensed
+from jaxbiped.adapt import Landing, PayloadReflex, PayloadStage, Sensed, Signals
 from jaxbiped.adapt.blends import smooth
 from jaxbiped.adapt.landing import LandingStage
-from jaxbiped.adapt.payload import SETTLE, SHIFT, WALK
+from jaxbiped.adapt.reflex.planned import SETTLE, SHIFT, WALK
 from jaxbiped.kinematics import GRAVITY
 from jaxbiped.kinematics.rotation import about_x, about_y, about_z
 from jaxbiped.score import loss
@@ -625,7 +625,7 @@ def test_payload_stage(x64, variant, kind, name):
             felt = smooth((time - x["load_time"]) / 0.3)
             zmp = -0.03 + 0.05 * felt + 0.003 * jnp.sin(3.0 * time)
             now = reading(time, WEIGHT + LOAD * felt, zmp)
-            state, targets = stage.step(state, gait, now, jnp.zeros((), bool))
+            state, targets, _ = stage.step(state, gait, planner.at(gait, time), now, Signals.none())
             filters = jnp.stack([state.force, state.slow_force, state.zmp])
             phase = targets.phase
             marks = jnp.stack([state.mode, phase.support, phase.kind, phase.step, state.reflexes])
@@ -729,7 +729,8 @@ def test_landing_stage(x64, variant):
             old = eqx.tree_at(lambda s: s.gap, switches, jnp.broadcast_to((place - floor)[:, None], (2, 4)))
             gap = jnp.broadcast_to((z - floor)[:, None], (2, 4))
             switches = sensors.read_switches(old, gap, time, DT, faults)
-            state, targets = stage.step(state, nominal, reading(time, switches=switches))
+            seen = reading(time, switches=switches)
+            state, targets, _ = stage.step(state, gait, nominal, seen, Signals.none())
             orders = (targets.position, targets.velocity, targets.acceleration)
             marks = jnp.stack([step, nominal.phase.support, state.touched, state.late, state.missed])
             row = (bodies(targets), marks.astype(float), state.touch_tau, state.T_mod)

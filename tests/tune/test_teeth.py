@@ -17,7 +17,7 @@ SHARES = np.arange(49) / 16.0
 
 
 def of(losses: np.ndarray) -> Teeth:
-    return Teeth(Tunable("payload.a", 0.0, 1.0, "s", ""), 1e-3 * SHARES, losses, 0.0)
+    return Teeth(Tunable("payload.a", 0.0, 1.0, "s", "", "a"), 1e-3 * SHARES, losses, 0.0)
 
 
 def test_a_smooth_loss_has_no_jumps():

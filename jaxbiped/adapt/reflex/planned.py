@@ -1,0 +1,134 @@
+"""The payload reflex for one planned walk: what it reads off the plan, and what it remembers between two ticks."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbiped.adapt.reflex.parameters import PayloadReflex
+from jaxbiped.adapt.stage import PlannedStage
+from jaxbiped.planner import Timing
+from jaxbiped.robot import LEFT, RIGHT
+
+Scalar = Float[Array, ""]
+WALK, REFLEX, SETTLE, SHIFT, RECOVER, HOLD = range(6)
+"""Modes."""
+
+
+class PayloadState(eqx.Module):
+    """What the stage remembers between two ticks. The body frame is the pelvis', heading along x."""
+
+    mode: Int[Array, ""]
+    """WALK, REFLEX, SETTLE, SHIFT, RECOVER or HOLD."""
+    time: Scalar
+    """Of the last reading [s]; negative before the first."""
+    tick: Scalar
+    """From the reading before to the last one [s]: the tick to come is taken to be as long; 0 at the first."""
+    force: Scalar
+    """Low-passed sum of the vertical foot forces [N]."""
+    slow_force: Scalar
+    """The same, by the slower low-pass [N]."""
+    zmp: Scalar
+    """Low-passed ZMP forward of the pelvis [m]."""
+    weight: Scalar
+    """Low-passed force that is taken for normal [N]."""
+    reflexes: Int[Array, ""]
+    """How many reflexes there have been."""
+    trigger_time: Scalar
+    """When the last reflex started [s]: a control tick after the force had left the band."""
+    trigger_plan_time: Scalar
+    """Plan time then [s]."""
+    support: Int[Array, ""]
+    """Support phase at the tick that felt the load."""
+    swing: Int[Array, ""]
+    """The foot that swung then, or swung last."""
+    start_sole: Float[Array, "2 3"]
+    """Soles in the world then [m]."""
+    start: Float[Array, "3 2 3"]
+    """Position, velocity, acceleration of the soles in the body frame then [m]."""
+    end: Float[Array, "2 3"]
+    """Soles in the body frame at the end of the reflex [m]."""
+    next_step: Int[Array, ""]
+    """Number of the plan's step with which the walk goes on; n_steps if there is none left."""
+    x_shift: Scalar
+    """Shift of x_ref at the last reflex [m]."""
+    x_shift_new: Scalar
+    """Shift of x_ref that is wanted [m]."""
+    resume_time: Scalar
+    """When the walk went on [s]."""
+    resume_plan_time: Scalar
+    """Plan time then [s]."""
+    world_shift: Scalar
+    """How far the walk has got ahead of the plan [m]."""
+
+    def share(self, since: Scalar) -> Scalar:
+        """A time [s] as a share of a tick, within 0 and 1; 1 before there is one."""
+        ticking = self.tick > 0.0
+        return jnp.where(ticking, jnp.clip(since / jnp.where(ticking, self.tick, 1.0), 0.0, 1.0), 1.0)
+
+
+class RecoveryStep(eqx.Module):
+    """The recovery step of a reflex."""
+
+    swing: Int[Array, ""]
+    """The foot ahead."""
+    f: Scalar
+    """Missing step length over twice the step length, Eq. 3.23."""
+    t_ss: Scalar
+    """Single support, Eq. 3.24 [s]."""
+    t_ds: Scalar
+    """Double support, Eq. 3.25 [s]."""
+    sway: Scalar
+    """How far the body goes towards the stance foot [m]."""
+    lift: Scalar
+    """How high the swing foot goes [m]."""
+    goal: Float[Array, "2 3"]
+    """Soles in the body frame at the end, but for the new shift of x_ref [m]."""
+
+
+class PlannedReflex(PlannedStage):
+    """What the reflex knows of a planned walk."""
+
+    params: PayloadReflex
+    """Parameters."""
+    resume_plan_time: Float[Array, " n"]
+    """Plan time from which the walk goes on with each step, and at rest after the last [s]."""
+    foothold: Float[Array, "n 2"]
+    """Where the soles are then, forward in the world [m]."""
+    stance: Float[Array, "n 2 3"]
+    """Soles in the body frame then [m]."""
+    stride: Scalar
+    """Distance of the soles in double support, 2 b_s [m]."""
+    sway: Scalar
+    """Greatest lateral way of the body from the middle, w [m]."""
+    lift: Scalar
+    """Greatest height of the swing foot, h_s [m]."""
+
+
+def decided(choice: Int[Array, ""]) -> Int[Array, ""]:
+    """The same small number >= 0, computed once and read by all that goes by it.
+
+    XLA fuses a comparison into each of its uses and may contract products and sums differently there; half a record
+    would go one way, half the other. A sort it neither fuses nor makes twice; lax.optimization_barrier is gone by then.
+    """
+    return jax.lax.sort(jnp.stack([choice, jnp.full_like(choice, jnp.iinfo(choice.dtype).max)]))[0]
+
+
+def foot_ahead(x: Float[Array, "2"]) -> Int[Array, ""]:
+    """The foot further ahead, the left one if there is none (the conditions on x_r_e <= x_l_e)."""
+    return jnp.where(x[RIGHT] <= x[LEFT], LEFT, RIGHT)
+
+
+def matching_step(
+    upcoming: Int[Array, ""], ahead: Int[Array, ""], aloft: Bool[Array, ""], timing: Timing
+) -> Int[Array, ""]:
+    """The plan's step to go on with: the one at hand or the one before it, so that the foot behind swings."""
+    behind_swings = (timing.first_swing + upcoming) % 2 != ahead
+    finished = (upcoming == timing.n_steps) & ~aloft
+    return jnp.where(behind_swings | finished | (upcoming == 0), upcoming, upcoming - 1)
+
+
+def stance_place(state: PayloadState, foot: Int[Array, ""]) -> Float[Array, "3"]:
+    """Where a foot stands in the world since the end of the reflex; before it, this is so for the stance foot."""
+    stance = 1 - state.swing
+    return state.start_sole[stance] + state.end[foot] - state.end[stance]

@@ -1,0 +1,152 @@
+"""What an adaptation is to the controller: a stage; and what stages tell each other: signals.
+
+A stage is written as two records. `Stage` holds the parameters, declared by `parameters.number` and `switch`, and says
+what belongs to it: the names of its variants, its outcome columns. `PlannedStage` is the stage for one planned walk and
+acts in every control tick. `register` makes it known by name, to variant files, tunables and folders of results.
+"""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbiped.adapt.parameters import require_names
+from jaxbiped.adapt.sensed import Sensed
+from jaxbiped.planner import Gait, Targets
+from jaxbiped.robot import RobotParams
+
+Scalar = Float[Array, ""]
+
+
+class Signals(eqx.Module):
+    """What stages tell each other, and whoever judges a walk: where it is, and what has interrupted it."""
+
+    plan_time: Scalar
+    """Time in the plan [s]."""
+    walking: Bool[Array, ""]
+    """Whether the plan is being walked; False while a recovery stands in its place."""
+    disturbed: Bool[Array, ""]
+    """Whether a foot has just touched down, or is overdue: foot forces say little about the weight."""
+    interruptions: Int[Array, ""]
+    """How often the walk has been interrupted."""
+    interrupted_time: Scalar
+    """When the last interruption began [s]."""
+    resume_time: Scalar
+    """When the walk went on after it [s]."""
+    next_step: Int[Array, ""]
+    """Number of the plan's step with which it goes on."""
+
+    @classmethod
+    def none(cls) -> "Signals":
+        """Before the first tick: the plan is being walked, and nothing has happened."""
+        zero, count = jnp.zeros((), jnp.result_type(float)), jnp.zeros((), jnp.int32)
+        return cls(zero, jnp.ones((), bool), jnp.zeros((), bool), count, zero, zero, count)
+
+
+class Outcome(NamedTuple):
+    """A declared column of what came of a walk."""
+
+    text: str
+    """What it says."""
+    kind: type = float
+    """Of its values: float, int, bool or str."""
+    absent: Any = None
+    """Value where the controller has not the stage; None is missing."""
+
+
+class PlannedStage(eqx.Module):
+    """A stage for one planned walk."""
+
+    params: eqx.AbstractVar["Stage"]
+    """Parameters."""
+
+    @property
+    def name(self) -> str:
+        """Name of the stage."""
+        return self.params.name
+
+    @classmethod
+    @abstractmethod
+    def plan(cls, params: Any, gait: Gait) -> "PlannedStage":
+        """Read off the plan what the stage needs of it."""
+
+    @abstractmethod
+    def init(self) -> Any:
+        """State before the first tick."""
+
+    @abstractmethod
+    def step(
+        self, state: Any, gait: Gait, targets: Targets, sensed: Sensed, signals: Signals
+    ) -> tuple[Any, Targets, Signals]:
+        """Adapt the targets of one control tick; pure.
+
+        Args:
+            state: of the last tick.
+            gait: the plan.
+            targets: what is to be done so far: the plan's, adapted by the stages before this one.
+            sensed: what the sensors say.
+            signals: of the stages before this one; of those after it, from the last tick.
+        """
+
+    def outcome(self, state: Any) -> dict[str, Array]:
+        """The columns that `Stage.outcomes` declares, from the state at the end of a walk."""
+        return {}
+
+    def longest_delay(self, gait: Gait, changes: int) -> float:
+        """For how long the stage can put the plan off [s], if the weight changes suddenly so often."""
+        return 0.0
+
+
+class Stage(eqx.Module):
+    """The parameters of a stage, and what belongs to it."""
+
+    name: ClassVar[str]
+    """What it is called: in variant files, of tunables, in a controller."""
+    record: ClassVar[str] = ""
+    """What its records are called in folders of results; its name if empty."""
+    planned: ClassVar[type[PlannedStage]]
+    """The stage that is planned with these parameters."""
+    replans: ClassVar[bool] = False
+    """Whether it decides which step is made; such stages act before those that fit a step to the ground."""
+    variants: ClassVar[tuple[str, ...]] = ("default",)
+    """Names that `named` knows."""
+    outcomes: ClassVar[Mapping[str, Outcome]] = {}
+    """Its columns in the results table."""
+    read_off_plan: ClassVar[tuple[str, ...]] = ()
+    """Parameters that a variant reads off robot and plan where they are not given."""
+
+    @classmethod
+    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: Any) -> "Stage":
+        """The parameters of a named variant, some of them changed.
+
+        Raises:
+            TypeError: for a parameter that there is not.
+            ValueError: for a value that is not allowed.
+        """
+        require_names(cls, parameters)
+        return cls(**parameters)
+
+    def plan(self, gait: Gait) -> PlannedStage:
+        """The stage for one planned walk."""
+        return self.planned.plan(self, gait)
+
+
+_Stage = TypeVar("_Stage", bound=type[Stage])
+STAGES: dict[str, type[Stage]] = {}
+"""Stages by name."""
+
+
+def register(stage: _Stage) -> _Stage:
+    """Make a stage known by its name; a class decorator.
+
+    Raises:
+        ValueError: if another stage has that name.
+    """
+    there = STAGES.get(stage.name)
+    if there is not None and (there.__module__, there.__qualname__) != (stage.__module__, stage.__qualname__):
+        raise ValueError(f"stage: got the name '{stage.name}', allowed: another than {', '.join(STAGES)}")
+    STAGES[stage.name] = stage
+    return stage
