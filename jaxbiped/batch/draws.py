@@ -5,17 +5,30 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import polars as pl
+import scipy
+from jaxtyping import Float
 
-from jaxbiped.checked import Quantity, whole
+from jaxbiped.checked import Quantity, Refusal, shown, whole
 
 MAX_ROWS = 10_000_000
+CUT = 3.0
+"""Standard deviations at which `Normal` is cut off."""
 
 _finite = Quantity().check
+Column = Float[np.ndarray, " n"]
+
+
+@runtime_checkable
+class Distribution(Protocol):
+    """What a column is drawn from: `Uniform`, `Normal`, `Choice`, or any frozen distribution of `scipy.stats`."""
+
+    def ppf(self, q: Any, /) -> Any:
+        """Quantiles at probabilities from 0 to 1."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -31,29 +44,27 @@ class Uniform:
         if not (low <= high and math.isfinite(high - low)):
             raise ValueError(f"uniform: got {low:g} to {high:g}, allowed: low <= high, a finite range")
 
-    def at(self, share: np.ndarray) -> np.ndarray:
+    def ppf(self, q: Column) -> Column:
         """Quantiles."""
-        return self.low + share * (self.high - self.low)
+        return self.low + q * (self.high - self.low)
 
 
 @dataclass(frozen=True)
 class Normal:
-    """Normally distributed, cut off at three standard deviations."""
+    """Normally distributed, cut off at CUT standard deviations."""
 
     mean: float | int
     deviation: float | int
 
     def __post_init__(self) -> None:
-        """Refuse what is no distribution."""
+        """Check that the distribution is valid."""
         _finite("normal: mean", self.mean)
         if not _finite("normal: deviation", self.deviation) > 0.0:
             raise ValueError(f"normal: deviation: got {self.deviation:g}, allowed: > 0")
 
-    def at(self, share: np.ndarray) -> np.ndarray:
+    def ppf(self, q: Column) -> Column:
         """Quantiles."""
-        cut = NormalDist().cdf(-3.0)
-        quantile = np.vectorize(NormalDist(self.mean, self.deviation).inv_cdf, otypes=[float])
-        return quantile(cut + share * (1.0 - 2.0 * cut))
+        return scipy.stats.truncnorm.ppf(q, -CUT, CUT, self.mean, self.deviation)
 
 
 @dataclass(frozen=True)
@@ -71,13 +82,10 @@ class Choice:
         for value in self.values:
             _finite("choice", value)
 
-    def at(self, share: np.ndarray) -> np.ndarray:
+    def ppf(self, q: Column) -> Column:
         """Quantiles."""
-        index = np.minimum((share * len(self.values)).astype(int), len(self.values) - 1)
+        index = np.minimum((q * len(self.values)).astype(int), len(self.values) - 1)
         return np.asarray(self.values, float)[index]
-
-
-Distribution = Uniform | Normal | Choice
 
 
 def grid(**values: float | int | np.number | np.ndarray | Sequence[float | int]) -> pl.DataFrame:
@@ -112,18 +120,34 @@ def draw(
         n: number of rows.
         seed: the same seed gives the same table.
         latin_hypercube: every column covers its range evenly, one row in each n-th of it; else independent draws.
-        columns: a distribution, or one number for all rows.
+        columns: a distribution (`Uniform`, `Normal`, `Choice`, or a frozen one of `scipy.stats`), or one number for all
+            rows.
 
     Raises:
-        ValueError: for a bad number of rows, seed or value.
+        ValueError: for a bad number of rows, seed or value, and for a distribution that gives one.
     """
     n, seed = whole("n", n, 1, MAX_ROWS), whole("seed", seed, 0, 2**31 - 1)
-    shares = _latin if latin_hypercube else _independent
-    drawn: dict[str, Any] = {}
-    for name, one in columns.items():
-        known = isinstance(one, Distribution)
-        drawn[name] = one.at(shares(_random(seed, name), n)) if known else np.full(n, _finite(name, one))
-    return pl.DataFrame(drawn)
+    probabilities = _latin if latin_hypercube else _independent
+    return pl.DataFrame(
+        {
+            name: _drawn(name, given, probabilities(_random(seed, name), n))
+            if isinstance(given, Distribution)
+            else np.full(n, _finite(name, given))
+            for name, given in columns.items()
+        }
+    )
+
+
+def _drawn(name: str, distribution: Distribution, probabilities: Column) -> Column:
+    """Quantiles of a distribution, all of them finite."""
+    try:
+        values = np.asarray(distribution.ppf(probabilities), float)
+    except TypeError:  # a class, or a family of scipy.stats that was given no parameters
+        raise Refusal(
+            f"{name}: got {shown(distribution)}, allowed: a number, or a distribution with its parameters, such as "
+            "Uniform(0.4, 1.0) or scipy.stats.gamma(2.0)"
+        ) from None
+    return Quantity(shapes=(probabilities.shape,)).check(name, values)
 
 
 def _listed(given: Any) -> list[Any]:
@@ -135,9 +159,9 @@ def _random(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, *words.tolist()])
 
 
-def _latin(rng: np.random.Generator, n: int) -> np.ndarray:
+def _latin(rng: np.random.Generator, n: int) -> Column:
     return (rng.permutation(n) + rng.random(n)) / n
 
 
-def _independent(rng: np.random.Generator, n: int) -> np.ndarray:
+def _independent(rng: np.random.Generator, n: int) -> Column:
     return rng.random(n)

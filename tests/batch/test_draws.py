@@ -1,7 +1,9 @@
 """Grids are full, draws follow their distributions, and a seed gives the same table."""
 
+import math
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -24,17 +26,43 @@ def test_grid_without_values_is_refused():
         grid(load_kg=[])
 
 
+def cut_normal(x: np.ndarray) -> np.ndarray:
+    """Distribution function of mean 5 and deviation 0.5, cut off at three deviations."""
+    phi = np.vectorize(lambda z: 0.5 * (1.0 + math.erf(z / math.sqrt(2.0))))
+    return (phi((x - 5.0) / 0.5) - phi(-3.0)) / (phi(3.0) - phi(-3.0))
+
+
+LAWS: dict[str, tuple[Any, Any]] = {
+    "uniform": (Uniform(-1.0, 3.0), lambda x: (x + 1.0) / 4.0),
+    "normal": (Normal(5.0, 0.5), cut_normal),
+    "SciPy's exponential": (stats.expon(scale=2.0), lambda x: 1.0 - np.exp(-x / 2.0)),
+    "SciPy's triangle": (stats.triang(0.0, 1.0, 2.0), lambda x: 1.0 - (3.0 - x) ** 2 / 4.0),
+}
+"""Distributions, and their distribution functions by hand."""
+
+
 @pytest.mark.parametrize("latin", [True, False])
-@pytest.mark.parametrize(
-    ("one", "law"),
-    [
-        (Uniform(-1.0, 3.0), stats.uniform(-1.0, 4.0)),
-        (Normal(5.0, 0.5), stats.truncnorm(-3.0, 3.0, 5.0, 0.5)),
-    ],
-)
-def test_draws_follow_their_distribution(one, law, latin):
-    values = draw(4000, 3, latin_hypercube=latin, friction=one)["friction"].to_numpy()
-    assert stats.kstest(values, law.cdf).pvalue > 1e-3
+@pytest.mark.parametrize("name", LAWS)
+def test_draws_follow_their_distribution(name, latin):
+    distribution, law = LAWS[name]
+    values = draw(4000, 3, latin_hypercube=latin, friction=distribution)["friction"].to_numpy()
+    assert stats.kstest(values, law).pvalue > 1e-3
+    if latin:
+        assert sorted((4000 * law(values)).astype(int)) == list(range(4000))
+
+
+def test_normal_is_cut_off_at_three_deviations():
+    values = draw(100_000, 1, latin_hypercube=False, x=Normal(5.0, 0.5))["x"].to_numpy()
+    assert 3.5 <= values.min() < 3.52 and 6.48 < values.max() <= 6.5
+
+
+def test_discrete_distributions_of_scipy_are_drawn_too():
+    values = draw(1000, 4, x=stats.binom(2, 0.5))["x"].to_list()
+    assert [values.count(k) for k in (0.0, 1.0, 2.0)] == [250, 500, 250]
+
+
+def test_one_value_may_be_all_a_range_has():
+    assert draw(3, 0, x=Uniform(2.0, 2.0))["x"].to_list() == [2.0] * 3
 
 
 def test_latin_hypercube_has_one_row_in_each_part():
@@ -90,6 +118,12 @@ def test_whole_numbers_may_be_numpys():
         (lambda: draw(True, 1, x=1.0), "n: got the truth value"),
         (lambda: draw(5, -1, x=1.0), "seed: got -1"),
         (lambda: draw(5, 0, x=float("nan")), "x: got nan"),
+        (lambda: draw(5, 0, x=stats.norm(0.0, -1.0)), "x: got nan in place 1, allowed: any finite number"),
+        (lambda: draw(5, 0, x=stats.uniform(0.0, 1e39)), r"x: got .*infinite in float32"),
+        (
+            lambda: draw(5, 0, x=stats.gamma),
+            "x: got .*gamma.*, allowed: a number, or a distribution with its",
+        ),
         (lambda: grid(x=[1.0, float("nan")]), "x: got nan"),
         (lambda: grid(x=1e39), "infinite in float32"),
         (lambda: grid(x=range(10_000), y=range(10_000)), "grid: got 100000000 combinations"),
