@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from importlib import metadata
 from typing import Any
 
+import tomli_w
+
 from jaxbiped.adapt import tunables
 from jaxbiped.tune.descent import Tuned
 
@@ -20,10 +22,7 @@ def variant_file(tuned: Tuned, start: Mapping[str, Mapping[str, Any]], made_by: 
     problem, settings = tuned.problem, tuned.settings
     found = problem.tunables
     new = tunables.as_tables(problem.experiment.robot, problem.controller, found, tuned.values.tolist())
-    lines = [f"# Tuned by: {made_by}", ""]
-    for name in dict.fromkeys([*start, *new]):
-        table = {**start.get(name, {}), **new.get(name, {})}
-        lines += [f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), ""]
+    tables = {name: {**start.get(name, {}), **new.get(name, {})} for name in dict.fromkeys([*start, *new])}
     origin = {
         "jaxbiped": metadata.version("jaxbiped"),
         "robot": problem.experiment.robot.name,
@@ -36,13 +35,4 @@ def variant_file(tuned: Tuned, start: Mapping[str, Mapping[str, Any]], made_by: 
         "held_out_success_before": tuned.before["success"],
         "held_out_success": tuned.after["success"],
     }
-    lines.append("[origin]")
-    lines += [f"{key} = {_toml(value)}" for key, value in origin.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _toml(value: Any) -> str:
-    """A number, a word, a truth value, or a list of them."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list | tuple) else repr(value)
+    return f"# Tuned by: {made_by}\n\n{tomli_w.dumps({**tables, 'origin': origin})}"
