@@ -5,7 +5,6 @@ Nothing in the package starts a JAX back end when it is imported: what is set he
 
 import functools
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -17,6 +16,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import platformdirs
 from jax.core import Tracer
 
 P = ParamSpec("P")
@@ -90,13 +90,16 @@ def threads() -> int:
     return min(cores(), int(given)) if given.isdecimal() and int(given) else cores()
 
 
+def cache_folder() -> Path:
+    """Where compiled kernels are kept between runs, as this system has it: on Linux ~/.cache/jaxbiped/jax."""
+    return platformdirs.user_cache_path("jaxbiped", appauthor=False) / "jax"
+
+
 def keep_compiled_kernels() -> None:
     """Let JAX keep compiled kernels between runs; JAX_COMPILATION_CACHE_DIR, if set, says where."""
     if jax.config.values["jax_compilation_cache_dir"] is not None:
         return
-    default = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or default) / "jaxbiped" / "jax"
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 

@@ -1,33 +1,25 @@
 """What every test shares: compiled kernels are kept between runs, and float64 is there for those who ask."""
 
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # as the package does, where it is imported before JAX
+from jaxbiped import runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
 
 import jax
 import pytest
-
-
-def _user_cache() -> Path:
-    if "XDG_CACHE_HOME" in os.environ:
-        return Path(os.environ["XDG_CACHE_HOME"])
-    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+from made_up import walk_chunk
 
 
 def _keep_compiled_kernels() -> None:
     """Point JAX, here and in child processes, at a compilation cache that outlives the run."""
-    folder = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_user_cache() / "jaxbiped" / "jax"))
+    folder = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(runtime.cache_folder()))
     seconds = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", float(seconds))
 
 
 _keep_compiled_kernels()
-
-from made_up import walk_chunk  # noqa: E402  (after the cache is set up)
 
 MOST_MAPS = 20_000
 """Memory maps of a process at which compiled functions are dropped; Linux allows 65,530 (vm.max_map_count)."""

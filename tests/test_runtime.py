@@ -174,3 +174,12 @@ def test_as_many_functions_run_at_once_as_xla_has_threads(monkeypatch, nproc, ex
     assert runtime.threads() == expected
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert runtime.threads() == 1
+
+
+def test_compiled_kernels_are_kept_where_the_system_keeps_caches(monkeypatch, tmp_path):
+    assert runtime.cache_folder().parts[-2:] in {("jaxbiped", "jax"), ("Cache", "jax")}
+    if sys.platform == "linux":
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        assert runtime.cache_folder() == tmp_path / "jaxbiped" / "jax"
+        monkeypatch.setenv("XDG_CACHE_HOME", "")
+        assert runtime.cache_folder() == Path.home() / ".cache" / "jaxbiped" / "jax"
