@@ -27,8 +27,8 @@ class InputError(ValueError):
 
 
 def figures_module() -> ModuleType | None:
-    """The figures, imported only when a command draws; None without matplotlib, which is an extra."""
-    if importlib.util.find_spec("matplotlib") is None:
+    """The figures, imported only when a command draws; None without the packages of the extra `viz`."""
+    if any(importlib.util.find_spec(name) is None for name in ("matplotlib", "jinja2")):
         return None
     from jaxbiped import report
 
@@ -36,7 +36,7 @@ def figures_module() -> ModuleType | None:
 
 
 def figures_or_word() -> ModuleType | None:
-    """The figures; without matplotlib none, and a word on how to get them."""
+    """The figures; without the extra `viz` none, and a word on how to get them."""
     figures = figures_module()
     if figures is None:
         say("no figures were drawn: pip install 'jaxbiped[viz]'")

@@ -18,7 +18,7 @@ from jaxbiped import kinematics, planner, robot, runtime
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars", "tyro")
 PLAIN_JIT = jax.jit
 """What a user's own functions are compiled with."""
-EXTRAS = {"matplotlib": "viz", "distributed": "cluster"}
+EXTRAS = {"matplotlib": "viz", "jinja2": "viz", "distributed": "cluster"}
 """Packages of the extras, and which extra brings them."""
 
 
@@ -63,7 +63,7 @@ def _device() -> Finding:
 def _extras() -> Finding:
     missing = {name: extra for name, extra in EXTRAS.items() if util.find_spec(name) is None}
     if not missing:
-        return "extras", True, "figures and Dask workers are there"
+        return "extras", True, "figures, pages and Dask workers are there"
     words = ", ".join(
         f"{name} is missing: pip install 'jaxbiped[{extra}]'" for name, extra in missing.items()
     )

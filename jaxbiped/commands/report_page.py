@@ -53,7 +53,7 @@ def run(command: Report) -> dict[str, Any]:
         )
     print("\n".join([*batches.rates(table), *batches.again(table, folder)]), flush=True)
     if figures_module() is None:
-        raise ImportError("a page needs matplotlib: pip install 'jaxbiped[viz]'")
+        raise ImportError("a page needs matplotlib and jinja2: pip install 'jaxbiped[viz]'")
     from jaxbiped.report import overview, page
 
     make_writable(out.parent)

@@ -1,7 +1,7 @@
 """Figures, tables and pages of plans and of simulated walks. Runs no simulation.
 
-What draws needs matplotlib (`pip install 'jaxbiped[viz]'`) and is imported when it is first asked for; `tables`,
-`quantities` and `traces` do without.
+What draws needs matplotlib, and a page jinja2 too (`pip install 'jaxbiped[viz]'`): they are imported when they are
+first asked for; `tables`, `quantities` and `traces` do without.
 """
 
 import importlib

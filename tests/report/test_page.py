@@ -131,6 +131,17 @@ def test_tables_show_every_value_and_text_keeps_its_spaces(written):
     assert reader.said_in("pre") == [f"  {HOSTILE}\n  kept   apart"]
 
 
+def test_words_of_the_template_language_are_words():
+    words = "{{ 7 * 6 }} {% if %} {# no #}"
+    section = page.Section(
+        words, [words], [words, pl.DataFrame({words: [words]})], [page.Picture(figure(), words)]
+    )
+    reader = read(page.page(words, [section, section], key=words))
+    for tag in ("title", "h1", "h2", "a", "p", "pre", "th", "td", "figcaption"):
+        assert set(reader.said_in(tag)) == {words}, tag
+    assert {"name": "key", "content": words} in reader.all("meta")
+
+
 def test_contents_lead_to_the_sections(written):
     reader = read(written)
     there = [section["id"] for section in reader.all("section")]
@@ -204,7 +215,7 @@ def test_a_page_may_be_read_by_whom_the_umask_lets(tmp_path: Path):
 def test_the_head_says_what_a_page_is_of(tmp_path: Path):
     path = page.write_page(tmp_path / "report.html", "Page " + 5000 * "x", SECTIONS, key='a"key')
     assert {"name": "key", "content": 'a"key'} in read(path.read_text(encoding="utf-8")).all("meta")
-    assert b"a&quot;key" in path.read_bytes()[:400]
+    assert b"a&#34;key" in path.read_bytes()[:400]
 
 
 def test_a_page_in_a_folder_that_is_not_there_is_named(tmp_path: Path):
