@@ -22,7 +22,7 @@ import jax.numpy as jnp  # noqa: E402
 from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
 from jaxbiped.sim import ground, mjx_adapter, plant, statistics  # noqa: E402
-from jaxbiped.sim.simulation import servo_reference  # noqa: E402
+from jaxbiped.sim.tick import servo_reference  # noqa: E402
 
 DT = 5e-4
 REPEATS = 9

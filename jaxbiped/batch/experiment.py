@@ -25,7 +25,9 @@ MAX_BATCH = 65536
 MAX_LANES = 128
 """Largest chunk where nobody says otherwise: more walks at once are no faster on a core."""
 LANE_STEP = 8
-"""Chunks are a multiple of this, so that grids of nearly the same size share what was compiled."""
+"""Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""
+MAX_TURNS, MIN_CHUNKS = 4, 8
+"""How many scenarios a lane of a chunk takes one after the other, if so many chunks are left for every variant."""
 
 
 _KINDS = {"robot": RobotParams, "variants": Mapping, "scenarios": pl.DataFrame, "options": Options}
@@ -53,7 +55,7 @@ class Experiment:
     seed: int | np.integer = 0
     """Of the sensors' noise."""
     batch: int | np.integer | None = None
-    """Walks in a chunk; None: up to MAX_LANES."""
+    """Walks at once; None: up to MAX_LANES."""
 
     judge: InitVar[bool] = True
     """Whether obstacles that nobody can walk over are refused; not where an experiment was run before."""
@@ -149,7 +151,7 @@ class Experiment:
 
     @cached_property
     def lanes(self) -> int:
-        """Walks in a chunk, the last one padded: it depends on the experiment only, never on the workers.
+        """Walks at once in a chunk, the last one padded: it depends on the experiment only, never on the workers.
 
         Never more than there are scenarios.
         """
@@ -160,12 +162,17 @@ class Experiment:
         return min(-(-n // (chunks * LANE_STEP)) * LANE_STEP, n)
 
     @cached_property
+    def chunk_rows(self) -> int:
+        """Scenarios in a chunk: several times as many as lanes where there are very many."""
+        return self.lanes * max(1, min(MAX_TURNS, self.table.height // (MIN_CHUNKS * self.lanes)))
+
+    @cached_property
     def chunks(self) -> list["Chunk"]:
         """All chunks, in the order of the table's rows."""
         n, found = self.table.height, []
         for index, variant in enumerate(self.variants):
-            for start in range(0, n, self.lanes):
-                stop = min(start + self.lanes, n)
+            for start in range(0, n, self.chunk_rows):
+                stop = min(start + self.chunk_rows, n)
                 found.append(Chunk(len(found), variant, start, stop, index * n))
         return found
 
@@ -194,6 +201,7 @@ class Experiment:
             "options": records.to_json(self.simulation),
             "durations_s": self.durations,
             "lanes": self.lanes,
+            "chunk_rows": self.chunk_rows,
             "scenarios": {
                 "rows": self.table.height,
                 "columns": self.table.columns,
@@ -214,7 +222,9 @@ class Experiment:
             batch=resolved["lanes"],
             judge=False,
         )
-        made.__dict__["durations"] = dict(resolved["durations_s"])  # of a cached property: as they were
+        # Cached properties: as they were. Until format 2 a chunk had as many rows as lanes.
+        made.__dict__["durations"] = dict(resolved["durations_s"])
+        made.__dict__["chunk_rows"] = resolved.get("chunk_rows", resolved["lanes"])
         return made
 
 

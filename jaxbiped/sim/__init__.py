@@ -4,8 +4,9 @@ from jaxbiped.sim.model import build_model, build_spec, mjcf, write_mjcf
 from jaxbiped.sim.options import Options
 from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.scenario import Scenario, require_clear_start, require_swing_clears, swing_height
-from jaxbiped.sim.simulation import Sample, Simulation, State, Walk, prepare, rectangles_of, rollout
+from jaxbiped.sim.simulation import Simulation, prepare, rectangles_of, rollout
 from jaxbiped.sim.statistics import STATUS_TEXT, Statistics
+from jaxbiped.sim.tick import Sample, State, Walk
 
 __all__ = [
     "STATUS_TEXT",
