@@ -114,8 +114,8 @@ def test_it_is_tuned(experiment):
     problem = tune.Problem.of(only, ["freeze"])
     assert [(t.name, t.unit, t.low) for t in problem.tunables] == [("freeze.limit", "N", 700.0)]
     rows = np.array([1])
-    slope = float(tune.forward(problem, problem.start, rows).each[0, 0])
-    wide = float(tune.central(problem, problem.start, rows, np.array([20.0])).each[0, 0])
+    slope = float(tune.forward(problem, problem.start, rows).by_scenario[0, 0])
+    wide = float(tune.central(problem, problem.start, rows, np.array([20.0])).by_scenario[0, 0])
     assert slope != 0.0 and slope == pytest.approx(wide, rel=0.5)
 
 
