@@ -246,7 +246,7 @@ def test_robot_without_a_preset_gait_is_refused(tmp_path):
     text = mine.read_text(encoding="utf-8")
     mine.write_text(text.replace('walks_like = "surena3"\n', ""))
     with pytest.raises(
-        InputError, match="'mine', allowed: surena3, elkahlout; otherwise add walks_like = 'surena3'"
+        InputError, match="'mine', allowed: elkahlout, surena3; otherwise add walks_like = 'elkahlout'"
     ):
         made(str(mine))
     mine.write_text(text.replace('walks_like = "surena3"', 'walks_like = "surena"'))
