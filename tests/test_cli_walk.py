@@ -168,7 +168,7 @@ REFUSED = [
     (["--robot", "surena3", "--obstacle", "0:0.03"], ("--obstacle", "under the left foot", "level ground")),
     (["--robot", "surena3", "--obstacle", "0:-0.02"], ("--obstacle", "a hole", "under the left foot")),
     (["--robot", "surena4"], ("--robot", "'surena4'", "elkahlout, surena3")),
-    (["--gait", "trot"], ("--gait", "'trot'", "polynomial, cosine")),
+    (["--gait", "trot"], ("--gait", "'trot'", "cosine, polynomial")),
     (["--steps", "0"], ("--steps", "0", "1 to 200")),
     (["--steps", "-3"], ("--steps", "-3", "1 to 200")),
     (["--steps", "201"], ("--steps", "201", "1 to 200")),
