@@ -40,7 +40,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxbiped
-from jaxbiped import checked, files, robot, runtime
+from jaxbiped import checked, files, planner, robot, runtime
 from jaxbiped.adapt import Controller
 from jaxbiped.batch.summary import wilson
 from jaxbiped.checked import Quantity, Refusal
@@ -50,6 +50,7 @@ from jaxbiped.sim import (
     Options,
     Scenario,
     Walk,
+    own_options,
     prepare,
     require_clear_start,
     require_swing_clears,
@@ -266,13 +267,13 @@ def set_up(name: str, variant: str) -> tuple[robot.RobotParams, Controller, Opti
     stages, options = VARIANTS[name][variant]
     landing, payload = STAGES[stages]
     params = robot.load(name)
-    gait = choices.make_gait(params, choices.own_gait(params), STEPS[name])
+    gait = planner.own_gait(params, STEPS[name])
     controller = Controller(
         gait,
         choices.stage_of("landing", landing, params, gait),
         choices.stage_of("payload", payload, params, gait),
     )
-    return params, controller, choices.simulation_options(params, gait) if options == THESIS else Options()
+    return params, controller, own_options(params, gait) if options == THESIS else Options()
 
 
 def scenarios(job: Job) -> list[Scenario]:

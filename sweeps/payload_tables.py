@@ -14,7 +14,6 @@ import polars as pl
 
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
-from jaxbiped.commands import choices
 from jaxbiped.report import grids, overview, page, tables
 
 LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
@@ -34,11 +33,11 @@ def experiment() -> jb.batch.Experiment:
         "original": Controller(gait, PayloadReflex.original(robot, gait)),
         "modified": Controller(gait, PayloadReflex.modified(robot, gait)),
     }
-    start = float(gait.params.T_ini)
+    start = float(gait.clock_start)
     scenarios = jb.batch.grid(
-        load_kg=LOADS, load_time_s=[start + t for t in TIMES], friction=[choices.floor_friction(robot, gait)]
+        load_kg=LOADS, load_time_s=[start + t for t in TIMES], friction=[jb.sim.own_friction(robot, gait)]
     )
-    return jb.batch.Experiment(robot, variants, scenarios, choices.simulation_options(robot, gait))
+    return jb.batch.Experiment(robot, variants, scenarios, jb.sim.own_options(robot, gait))
 
 
 def write_csv(walks: pl.DataFrame, start: float, file: Path) -> None:

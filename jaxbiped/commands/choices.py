@@ -5,21 +5,13 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxbiped import adapt, checked, planner, robot, sim
+from jaxbiped import adapt, checked, planner, robot
 from jaxbiped.adapt import parameters, tunables
-from jaxbiped.batch.inputs import INPUTS
 from jaxbiped.checked import Quantity, Refusal, Word
 from jaxbiped.commands.common import InputError
 from jaxbiped.planner.constraints import OR_ALLOW
 
-GAITS = {"polynomial": planner.PolynomialGait, "cosine": planner.CosineGait}
-PRESETS = {planner.PolynomialGait: planner.polynomial_params, planner.CosineGait: planner.cosine_params}
-OWN_GAIT = {"elkahlout": "cosine"}
-"""The gait of each preset robot's own paper, where it is not the polynomial one."""
-THESIS_FRICTION = 0.09
-"""Of the floor in the thesis' experiments. The thesis does not state it: assumed, the one number chosen by its Tables
-4.2 and 4.3 (`sweeps/calibrate_elkahlout.py`). On a floor with more grip no robot of its measures can pull its feet
-under its body in 0.1 s."""
+GAIT_NAMES = "|".join(sorted(planner.GAITS))
 MOST_STEPS = 200
 OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = "off", "paper", "original", "modified", "repaired"
 LANDINGS, REFLEXES = (OFF, *adapt.Landing.variants), (OFF, *adapt.PayloadReflex.variants)
@@ -40,31 +32,32 @@ def stage_fields() -> dict[str, dict[str, checked.Field]]:
 
 def gait_name(given: str | None, params: robot.RobotParams) -> str:
     """The gait that was asked for, else that of the robot's own paper."""
-    return own_gait(params) if given is None else given
+    try:
+        return planner.own_gait_name(params) if given is None else given
+    except planner.GaitError as error:
+        raise InputError(f"--robot, --gait: {error}") from None
 
 
-def own_gait(params: robot.RobotParams) -> str:
-    """Name of the gait of the robot's own paper, or of the paper of the robot it walks like."""
-    return OWN_GAIT.get(params.preset_name, "polynomial")
-
-
-def make_gait(params: robot.RobotParams, name: str, steps: int, allow_infeasible: bool = False) -> Any:
+def make_gait(
+    params: robot.RobotParams, name: str, steps: int, allow_infeasible: bool = False
+) -> planner.Gait:
     """The preset gait of a robot; refused if it breaks a constraint, unless it is known to or that is allowed."""
-    if name not in GAITS:
-        raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}{checked.nearest(name, GAITS)}")
+    gaits = planner.GAITS
+    if name not in gaits:
+        raise InputError(f"--gait: got '{name}', allowed: {', '.join(gaits)}{checked.nearest(name, gaits)}")
     if not 1 <= steps <= MOST_STEPS:
         raise InputError(f"--steps: got {steps}, allowed: 1 to {MOST_STEPS}")
     try:
-        return GAITS[name].preset(params, steps, allow_infeasible=allow_infeasible)
+        return gaits[name].preset(params, steps, allow_infeasible=allow_infeasible)
     except planner.GaitError as error:
         raise InputError(f"--robot, --gait: {_as_flag(error)}") from None
 
 
-def broken(params: robot.RobotParams, gait: Any) -> list[str]:
+def broken(params: robot.RobotParams, gait: planner.Gait) -> list[str]:
     """Say which constraints a plan breaks; a line for each, with the reason where a preset is known to break one."""
     lines = [violation.words(params, gait) for violation in planner.violations(params, gait)]
     known = planner.known_infeasible(type(gait), params)
-    if lines and known and eqx.tree_equal(gait.params, PRESETS[type(gait)](params)):
+    if lines and known and eqx.tree_equal(gait.params, gait.preset_params(params)):
         lines[-1] += f"; known of this preset: {known}"
     return lines
 
@@ -72,34 +65,6 @@ def broken(params: robot.RobotParams, gait: Any) -> list[str]:
 def _as_flag(error: Exception) -> str:
     """A refusal in the words of the command line."""
     return str(error).replace(OR_ALLOW, "; or say --allow-infeasible")
-
-
-def is_thesis(params: robot.RobotParams, gait: Any) -> bool:
-    """Whether this is the thesis' own walk."""
-    return params.preset_name == "elkahlout" and isinstance(gait, planner.CosineGait)
-
-
-def simulation_options(params: robot.RobotParams, gait: Any) -> sim.Options:
-    """The thesis' own walk by its own means: no feed-forward, control every tick, trunk with load by Eqs. 3.8-3.10."""
-    thesis = is_thesis(params, gait)
-    return sim.Options(
-        control_every=1 if thesis else 4,
-        feed_forward=not thesis,
-        payload_model="thesis" if thesis else "exact",
-    )
-
-
-def floor_friction(params: robot.RobotParams, gait: Any) -> float:
-    """Friction of the floor where nobody says otherwise: THESIS_FRICTION for the thesis' own walk."""
-    return THESIS_FRICTION if is_thesis(params, gait) else INPUTS["friction"].default
-
-
-def clock_start(gait: Any) -> float:
-    """When the clock of loading times starts, since the start of the walk [s].
-
-    The thesis' time begins T_ini after the start of a cosine gait.
-    """
-    return float(gait.params.T_ini) if isinstance(gait, planner.CosineGait) else 0.0
 
 
 def stage_of(

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import polars as pl
 from tyro.conf import arg
 
-from jaxbiped import batch
+from jaxbiped import batch, sim
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import ALLOW_HELP, LANDINGS, gait_name, make_gait, simulation_options
+from jaxbiped.commands.choices import ALLOW_HELP, GAIT_NAMES, LANDINGS, gait_name, make_gait
 from jaxbiped.commands.common import InputError, draw, load_robot
 
 FIGURES = ("obstacles.png",)
@@ -25,7 +25,7 @@ class Obstacles:
 
     robot: str = "surena3"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
-    gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
+    gait: Annotated[str | None, arg(metavar=GAIT_NAMES)] = None
     """Default: the gait of the robot's own paper."""
     variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = LANDINGS
     heights: Annotated[tuple[float, ...], arg(help=HEIGHTS_HELP)] = tuple(0.01 * cm for cm in range(-5, 6))
@@ -78,7 +78,7 @@ def set_up(command: Obstacles) -> batch.Experiment:
             )
     variants = batches.variants(command.variant, "landing", params, gait, allow)
     scenarios = pl.DataFrame({batch.height_column(step): heights for step in command.step})
-    options = simulation_options(params, gait)
+    options = sim.own_options(params, gait)
     return batches.experiment(params, variants, scenarios, options, seed=command.seed, batch=command.batch)
 
 

@@ -12,11 +12,9 @@ from jaxbiped import batch, sim
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
     ALLOW_HELP,
-    clock_start,
-    floor_friction,
+    GAIT_NAMES,
     gait_name,
     make_gait,
-    simulation_options,
 )
 from jaxbiped.commands.common import InputError, draw, load_robot
 from jaxbiped.sim.scenario import RANGES
@@ -42,7 +40,7 @@ class Payload:
 
     robot: str = "elkahlout"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
-    gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
+    gait: Annotated[str | None, arg(metavar=GAIT_NAMES)] = None
     """Default: the gait of the robot's own paper."""
     variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = ("off", "original", "modified")
     loads: Annotated[tuple[float, ...], arg(help=LOADS_HELP)] = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
@@ -88,18 +86,18 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
     times = batches.numbers("--times", command.times, "s", 0.0, LATEST)
     name = gait_name(command.gait, params)
     gait = make_gait(params, name, 1, allow_infeasible=True)  # only its clock is read
-    since_liftoff = max(times) + clock_start(gait) - float(gait.timing.first_liftoff)
+    since_liftoff = max(times) + float(gait.clock_start) - float(gait.timing.first_liftoff)
     last = max(0, math.floor(since_liftoff / float(gait.timing.T_c)))
     steps = last + 1 + STEPS_AFTER if command.steps is None else command.steps
     gait = make_gait(params, name, steps, command.allow_infeasible)
-    start = clock_start(gait)
+    start = float(gait.clock_start)
     if max(times) + start > float(gait.duration):
         raise InputError(
             f"--times: got {max(times):g} s, allowed: up to {float(gait.duration) - start:.4g} s with {steps} steps"
         )
     variants = batches.variants(command.variant, "payload", params, gait, command.allow_infeasible)
-    options: sim.Options = simulation_options(params, gait)
-    friction = floor_friction(params, gait) if command.friction is None else command.friction
+    options: sim.Options = sim.own_options(params, gait)
+    friction = sim.own_friction(params, gait) if command.friction is None else command.friction
     (friction,) = batches.numbers(
         "--friction", (friction,), "", RANGES["friction"].low, RANGES["friction"].high
     )
