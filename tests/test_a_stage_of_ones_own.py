@@ -105,8 +105,7 @@ def test_it_is_batched_and_has_its_column(experiment, tmp_path):
 
 
 def test_its_column_is_missing_where_a_variant_has_not_the_stage(surena, experiment):
-    params, gait = surena
-    both = replace(experiment, variants={"off": adapt.Controller(gait), **experiment.variants})
+    both = replace(experiment, variants={"off": adapt.Controller(surena[1]), **experiment.variants})
     assert both.outcomes["frozen_s"] == Freeze.outcomes["frozen_s"]
     found = {name: np.zeros(2) for name in columns.OUTCOMES}
     frame = part.outcome_frame({**found, "status": np.zeros(2, int)}, both.outcomes)
