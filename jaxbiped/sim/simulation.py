@@ -22,6 +22,7 @@ from jaxbiped.adapt import Controller, ControllerState, Sensed
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at, is_concrete
 from jaxbiped.robot import RobotParams
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import (
     equilibrium,
     feed_forward,
@@ -49,8 +50,8 @@ class Physics(eqx.Module):
 
     tick: Int[Array, ""]
     """Physics ticks done."""
-    qpos: Float[Array, "19"]
-    qvel: Float[Array, "18"]
+    qpos: Float[Array, " nq"]
+    qvel: Float[Array, " nv"]
     integral: Float[Array, "2 6"]
     """Integral of the servos' position errors [rad s]."""
     switches: SwitchState
@@ -102,7 +103,7 @@ class Sample(eqx.Module):
     """Contact switches."""
     torque: Float[Array, "*n 2 6"]
     """Joint torques [N m]."""
-    qpos: Float[Array, "*n 19"]
+    qpos: Float[Array, "*n nq"]
     """MuJoCo coordinates, for replay and drawing."""
     targets: Targets
     """What the controller asked for."""
@@ -158,7 +159,7 @@ class Simulation(eqx.Module):
         physics = Physics(
             tick=jnp.zeros((), jnp.int32),
             qpos=qpos,
-            qvel=jnp.zeros(mjx_adapter.NV, qpos.dtype),
+            qvel=jnp.zeros(BIPED.nv, qpos.dtype),
             integral=jnp.zeros((2, 6), qpos.dtype),
             switches=sensors.init_switches(touch.gap, scenario.sensors),
             pressed=ground.normal_force(touch),
@@ -390,7 +391,7 @@ def _physics_tick(
         tick=state.tick + 1,
         qpos=mjx_adapter.integrate(world.model, state.qpos, qvel, dt),
         qvel=qvel,
-        integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
+        integral=state.integral + dt * (reference.angle - BIPED.leg_angles(state.qpos)),
         switches=sensors.read_switches(state.switches, touch.gap, time, dt, scenario.sensors),
         pressed=ground.normal_force(touch),
         filtered=ground.low_passed(state.filtered, touch, dt),
