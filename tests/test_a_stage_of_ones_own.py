@@ -22,7 +22,6 @@ from jaxbiped.commands.choices import load_variant
 from jaxbiped.planner import Gait, Targets
 
 COARSE = sim.Options(dt=2e-3, control_every=2)
-DURATION = 1.6
 
 
 class Held(eqx.Module):
@@ -86,8 +85,9 @@ def surena() -> Any:
 def experiment(surena) -> batch.Experiment:
     params, gait = surena
     variants = {"freeze": adapt.Controller(gait, Freeze())}
-    scenarios = batch.grid(push_z_N=[0.0, -500.0], push_time_s=0.3, push_length_s=0.2)
-    return batch.Experiment(params, variants, scenarios, COARSE, duration=DURATION)
+    swing = float(gait.timing.first_liftoff) + 0.3
+    scenarios = batch.grid(push_z_N=[0.0, -500.0], push_time_s=swing, push_length_s=0.2)
+    return batch.Experiment(params, variants, scenarios, COARSE, duration=swing + 0.6)
 
 
 def test_it_acts_before_landing_which_fits_steps_to_the_ground(surena):

@@ -14,9 +14,9 @@ from jaxbiped.robot import JOINT_AXES, LEFT, RIGHT, RobotParams
 class BodyPose(eqx.Module):
     """Where every link and sole is, in the world."""
 
-    p_world_link: Float[Array, "*batch 13 3"]
+    p_world_link: Float[Array, "*batch link 3"]
     """Origins of the link frames [m]."""
-    rot_world_link: Float[Array, "*batch 13 3 3"]
+    rot_world_link: Float[Array, "*batch link 3 3"]
     """Orientation of the link frames."""
     p_world_sole: Float[Array, "*batch 2 3"]
     """Origins of the sole frames [m]."""
@@ -53,7 +53,7 @@ def pose(
     )
 
 
-def com_of_links(robot: RobotParams, body: BodyPose) -> Float[Array, "13 3"]:
+def com_of_links(robot: RobotParams, body: BodyPose) -> Float[Array, "link 3"]:
     """Centre of mass of every link in the world [m]."""
     return body.p_world_link + jnp.einsum("nij,nj->ni", body.rot_world_link, robot.links.com)
 

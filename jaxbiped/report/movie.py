@@ -16,6 +16,7 @@ from PIL import Image
 from jaxbiped import files, runtime
 from jaxbiped.kinematics import leg
 from jaxbiped.robot import RobotParams
+from jaxbiped.robot.layout import BIPED, POSITION, QUATERNION
 from jaxbiped.score import walked_rows
 from jaxbiped.sim import Sample
 from jaxbiped.sim.scenario import Terrain
@@ -60,11 +61,11 @@ class Profile(NamedTuple):
 
 
 @runtime.jit
-def skeleton(robot: RobotParams, qpos: Float[Array, "n 19"]) -> Float[Array, "n 2 8 3"]:
+def skeleton(robot: RobotParams, qpos: Float[Array, "n nq"]) -> Float[Array, "n 2 8 3"]:
     """Points of each leg in the world [m]: pelvis, hip, knee, ankle, then the sole's corners."""
 
-    def one(q: Float[Array, "19"]) -> Float[Array, "2 8 3"]:
-        w, x, y, z = q[3:7]
+    def one(q: Float[Array, " nq"]) -> Float[Array, "2 8 3"]:
+        w, x, y, z = q[QUATERNION]
         rotation = jnp.array(
             [
                 [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -77,9 +78,9 @@ def skeleton(robot: RobotParams, qpos: Float[Array, "n 19"]) -> Float[Array, "n 
             pose = leg.forward(robot, side, angle)
             corners = pose.p_pelvis_sole + robot.p_sole_corner[side] @ pose.rot_pelvis_sole.T
             joints = pose.p_pelvis_link[jnp.array([0, 3, 5])]
-            return jnp.concatenate([jnp.zeros((1, 3), q.dtype), joints, corners]) @ rotation.T + q[:3]
+            return jnp.concatenate([jnp.zeros((1, 3), q.dtype), joints, corners]) @ rotation.T + q[POSITION]
 
-        return jax.vmap(points)(jnp.arange(2), q[7:].reshape(2, 6))
+        return jax.vmap(points)(jnp.arange(2), BIPED.leg_angles(q))
 
     return jax.vmap(one)(qpos)
 

@@ -26,11 +26,11 @@ class Links(eqx.Module):
     shank in the knee, ankle and foot in the ankle centre.
     """
 
-    mass: Float[Array, "*batch 13"]
+    mass: Float[Array, "*batch link"]
     """Mass [kg]."""
-    com: Float[Array, "*batch 13 3"]
+    com: Float[Array, "*batch link 3"]
     """Centre of mass in the link frame [m]."""
-    inertia: Float[Array, "*batch 13 3 3"]
+    inertia: Float[Array, "*batch link 3 3"]
     """Inertia about the centre of mass, link axes [kg m2]."""
 
 

@@ -15,9 +15,10 @@ import numpy as np
 
 from jaxbiped.checked import Word
 from jaxbiped.kinematics import GRAVITY
-from jaxbiped.robot import SIDE_NAMES, RobotParams
+from jaxbiped.robot import LEFT, SIDE_NAMES, RobotParams
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import plant
-from jaxbiped.sim.mjx_adapter import LEFT_FOOT, TRUNK
+from jaxbiped.sim.mjx_adapter import TRUNK
 from jaxbiped.sim.model import CORNER_NAMES, build_spec
 from jaxbiped.sim.scenario import Payload, Scenario, Terrain
 
@@ -113,7 +114,7 @@ def contact_time_constant(
     [1/kg] being that of the foot; and that is to be the weight on each of eight corners over the sinkage.
     """
     robot = jax.tree.map(np.asarray, robot)
-    invweight = float(build_spec(robot).compile().body_invweight0[LEFT_FOOT, 0])
+    invweight = float(build_spec(robot).compile().body_invweight0[BIPED.feet[LEFT], 0])
     wanted = float(robot.total_mass) * GRAVITY / (8.0 * sinkage)
     constant = float(np.sqrt(1.0 / ((1.0 - IMPEDANCE) * wanted * invweight)))
     return max(constant * (STIFF_SHARE if contact == STIFF else 1.0), SHORTEST * timestep)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import ground, mjx_adapter, plant, sensors, statistics
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
@@ -22,8 +23,8 @@ class Physics(eqx.Module):
 
     tick: Int[Array, ""]
     """Physics ticks done."""
-    qpos: Float[Array, "19"]
-    qvel: Float[Array, "18"]
+    qpos: Float[Array, " nq"]
+    qvel: Float[Array, " nv"]
     integral: Float[Array, "2 6"]
     """Integral of the servos' position errors [rad s]."""
     switches: SwitchState
@@ -63,7 +64,7 @@ def physics_tick(
         tick=state.tick + 1,
         qpos=mjx_adapter.integrate(world.model, state.qpos, qvel, dt),
         qvel=qvel,
-        integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
+        integral=state.integral + dt * (reference.angle - BIPED.leg_angles(state.qpos)),
         switches=sensors.read_switches(state.switches, touch.gap, time, dt, scenario.sensors),
         pressed=ground.normal_force(touch),
         filtered=ground.low_passed(state.filtered, touch, dt),

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import TaskSpace
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import ground, mjx_adapter
 from jaxbiped.sim.plant import Plant, contact_force, motion_at_rest
 from jaxbiped.sim.servo import Reference
@@ -16,7 +17,7 @@ _HELD = np.array([0, 1, 5], np.int32)
 """World x, world y and yaw: friction that is regularised does not hold them, nothing pushes them either."""
 
 
-def standing(plant: Plant, task: TaskSpace, reference: Reference) -> Float[Array, "19"]:
+def standing(plant: Plant, task: TaskSpace, reference: Reference) -> Float[Array, " nq"]:
     """Configuration in which weight, ground and servos are in balance, near the commanded one.
 
     Newton's method with the stiffness of ground and servos as the Jacobian; what it leaves out (the weight's own
@@ -26,28 +27,28 @@ def standing(plant: Plant, task: TaskSpace, reference: Reference) -> Float[Array
     angle, _ = joint_angles(robot, task.sole - task.pelvis)
     sunk = task.pelvis.at[2].add(-scenario.ground.sinkage)
     upright = jnp.array([1.0, 0.0, 0.0, 0.0], sunk.dtype)
-    start = jnp.concatenate([sunk, upright, angle.reshape(-1)])
+    start = BIPED.coordinates(sunk, upright, angle)
     stiffness = ground.stiffness(robot, scenario.ground)
 
-    def improve(qpos: Float[Array, "19"], _: None) -> tuple[Float[Array, "19"], None]:
+    def improve(qpos: Float[Array, " nq"], _: None) -> tuple[Float[Array, " nq"], None]:
         body = motion_at_rest(plant, qpos)
         touch = ground.contact(robot, scenario.ground, scenario.terrain, body)
-        torque = plant.servo.kp * (reference.angle - qpos[7:].reshape(2, 6)) + reference.feed_forward
+        torque = plant.servo.kp * (reference.angle - BIPED.leg_angles(qpos)) + reference.feed_forward
         force = contact_force(body, touch) - body.bias
-        force = force.at[6:].add(torque.reshape(-1)).at[_HELD].set(0.0)
+        force = force.at[BIPED.leg_dofs].add(torque.reshape(-1)).at[_HELD].set(0.0)
         rows = jax.vmap(jax.vmap(_lift, (None, 0, None)), (None, 0, 0))(
             body, touch.p_world_corner, jnp.arange(2)
         )
         pressed = jnp.where(touch.gap < 0.0, stiffness, 0.0)
         matrix = jnp.einsum("fc,fci,fcj->ij", pressed, rows, rows)
-        springs = jnp.concatenate([jnp.full(6, 1.0, sunk.dtype), plant.servo.kp.reshape(-1)])
+        springs = BIPED.joint_space(jnp.full(6, 1.0, sunk.dtype), plant.servo.kp)
         step = mjx_adapter.solve(mjx_adapter.blocks(matrix + jnp.diag(springs.at[_HELD].set(1e9))), force)
         return mjx_adapter.integrate(plant.model, qpos, jnp.clip(step, -0.02, 0.02), 1.0), None
 
     return jax.lax.scan(improve, start, None, length=ITERATIONS)[0]
 
 
-def _lift(body: mjx_adapter.BodyMotion, point: Float[Array, "3"], foot: Array) -> Float[Array, "18"]:
+def _lift(body: mjx_adapter.BodyMotion, point: Float[Array, "3"], foot: Array) -> Float[Array, " nv"]:
     """Joint-space force of a unit force upwards at a point of a foot."""
     up = jnp.zeros((2, 3), point.dtype).at[foot, 2].set(1.0)
     moment = jnp.cross(point - body.centre, up)

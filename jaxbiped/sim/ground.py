@@ -150,7 +150,7 @@ def _give(contact: Contact) -> Float[Array, "2 4 3 3"]:
     return contact.drag[..., None, None] * jnp.eye(3, dtype=outer.dtype) + along[..., None, None] * outer
 
 
-def force_after(body: BodyMotion, contact: Contact, d_qvel: Float[Array, "18"]) -> Float[Array, "2 4 3"]:
+def force_after(body: BodyMotion, contact: Contact, d_qvel: Float[Array, " nv"]) -> Float[Array, "2 4 3"]:
     """Force at every corner [N] that acts at the velocity after a change of qvel."""
     twist = mjx_adapter.foot_twist(body, d_qvel)[:, None]
     change = twist[..., 3:] + spatial.cross(twist[..., :3], contact.p_world_corner - body.centre)

@@ -1,8 +1,7 @@
 """The one file that touches MJX's internals: from joint state to mass matrix, bias force and body motion.
 
-MuJoCo's own conventions stay in here and in `State`: qpos is (world position, quaternion w x y z, 12 angles), qvel is
-(world velocity, angular velocity in trunk axes, 12 speeds), spatial vectors are (angular, linear) about the robot's
-centre of mass with world axes.
+MuJoCo's own conventions stay in here, in `State` and in `robot.layout`, which says what is where in qpos and qvel.
+Spatial vectors are (angular, linear) about the robot's centre of mass with world axes.
 """
 
 import contextlib
@@ -22,17 +21,14 @@ with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its optional 
     from mujoco.mjx._src import smooth, support
     from mujoco.mjx._src.forward import _integrate_pos
 
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import LEFT, RIGHT, RobotParams
+from jaxbiped.robot.layout import BASE, BIPED, IMAGINARY, POSITION, QUATERNION, REAL
 from jaxbiped.sim import spatial
-from jaxbiped.sim.model import FREE_DOFS, build_spec
+from jaxbiped.sim.model import build_spec
 from jaxbiped.sim.spatial import Links
 
-NQ, NV = 19, 18
-TRUNK = 1
-LEFT_FOOT, RIGHT_FOOT = 7, 13
-PAYLOAD = 14
-"""Body numbers in the model: the world is 0, then the links in the record's order, then the payload's box."""
-_FEET = np.array([LEFT_FOOT, RIGHT_FOOT], np.int32)  # int64 trips JAX when float64 and float32 alternate
+TRUNK, PAYLOAD = BIPED.trunk, BIPED.payload
+"""Numbers of bodies in the model."""
 
 
 class BodyMotion(eqx.Module):
@@ -50,14 +46,14 @@ class BodyMotion(eqx.Module):
     """Angular velocity [rad/s] and velocity [m/s] of the point of each foot at `centre`."""
     centre: Float[Array, "3"]
     """Reference point of all spatial vectors: the robot's centre of mass [m]."""
-    dof_axes: Float[Array, "18 6"]
+    dof_axes: Float[Array, "nv 6"]
     """Spatial motion per unit of each qvel."""
-    link_inertia: Float[Array, "13 10"]
+    link_inertia: Float[Array, "link 10"]
     """Of the trunk with its load and of the links of both legs, about `centre`: xx, yy, zz, xy, xz, yz [kg m2], first
     moment [kg m], mass [kg]."""
-    mass_matrix: Float[Array, "18 18"]
+    mass_matrix: Float[Array, "nv nv"]
     """Joint-space inertia, armature included."""
-    bias: Float[Array, "18"]
+    bias: Float[Array, " nv"]
     """Coriolis, centrifugal and gravity forces; `mass_matrix @ qacc + bias` = applied forces."""
 
 
@@ -69,12 +65,18 @@ def base_model(robot: RobotParams) -> Any:
     model.opt.disableflags |= int(
         mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
     )
-    order = [int(model.body(name).id) for name in ("trunk", "left_foot", "right_foot", "payload")]
-    assert order == [TRUNK, LEFT_FOOT, RIGHT_FOOT, PAYLOAD], order
+    _require_layout(model)
     model.geom_rbound[:] = (
         0.0  # of no use without contacts, and MJX compiles anew where its copy of them differs
     )
     return mjx.put_model(model)
+
+
+def _require_layout(model: mujoco.MjModel) -> None:
+    """Bodies and hinges are where everything else expects them."""
+    bodies = tuple(model.body(i).name for i in range(model.nbody))
+    hinges = tuple(model.joint(i).name for i in range(1, model.njnt))
+    assert (bodies, hinges) == (BIPED.bodies, BIPED.hinges), (bodies, hinges)
 
 
 def _add_payload(spec: mujoco.MjSpec) -> None:
@@ -87,20 +89,20 @@ def _add_payload(spec: mujoco.MjSpec) -> None:
 
 def with_masses(
     model: Any,
-    mass: Float[Array, "15"],
-    com: Float[Array, "15 3"],
-    inertia: Float[Array, "15 3"],
+    mass: Float[Array, " body"],
+    com: Float[Array, "body 3"],
+    inertia: Float[Array, "body 3"],
 ) -> Any:
     """The model with other masses [kg], centres of mass [m] and principal inertias [kg m2], numbered as bodies."""
     return model.replace(body_mass=mass, body_ipos=com, body_inertia=inertia)
 
 
-def masses(model: Any) -> tuple[Float[Array, "15"], Float[Array, "15 3"], Float[Array, "15 3"]]:
+def masses(model: Any) -> tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]:
     """Mass, centre of mass and principal inertias of every body."""
     return model.body_mass, model.body_ipos, model.body_inertia
 
 
-def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> BodyMotion:
+def motion(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
     """Kinematics, composite inertia and Newton-Euler bias of MJX at one state.
 
     Differentiated by how the links move with the joints (`spatial`), not through MJX; by the masses through MJX.
@@ -108,7 +110,7 @@ def motion(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> Bo
     return _motion(model, qpos, qvel)
 
 
-def _through_mjx(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"]) -> BodyMotion:
+def _through_mjx(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
     data = mjx.make_data(model).replace(qpos=qpos, qvel=qvel)
     data = smooth.kinematics(model, data)
     data = smooth.com_pos(model, data)
@@ -121,14 +123,14 @@ def _through_mjx(model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"])
 def _read(data: Any) -> BodyMotion:
     """What is read off MJX's data after its smooth dynamics."""
     return BodyMotion(
-        p_world_foot=data.xpos[_FEET],
-        rot_world_foot=data.xmat[_FEET],
+        p_world_foot=data.xpos[BIPED.feet],
+        rot_world_foot=data.xmat[BIPED.feet],
         p_world_trunk=data.xpos[TRUNK],
         rot_world_trunk=data.xmat[TRUNK],
-        twist_foot=data.cvel[_FEET],
+        twist_foot=data.cvel[BIPED.feet],
         centre=data.subtree_com[TRUNK],
         dof_axes=data.cdof,
-        link_inertia=data._impl.cinert[TRUNK:PAYLOAD].at[0].add(data._impl.cinert[PAYLOAD]),
+        link_inertia=data._impl.cinert[BIPED.links].at[0].add(data._impl.cinert[PAYLOAD]),
         mass_matrix=data._impl.M,
         bias=data.qfrc_bias,
     )
@@ -165,19 +167,19 @@ def _instantiate(tangent: Any, primal: Any) -> Any:
     return np.zeros(jnp.shape(primal), jax.dtypes.float0)
 
 
-def _as_velocity(qpos: Float[Array, "19"], d_qpos: Float[Array, "19"]) -> Float[Array, "18"]:
+def _as_velocity(qpos: Float[Array, " nq"], d_qpos: Float[Array, " nq"]) -> Float[Array, " nv"]:
     """A small change of qpos in the coordinates of qvel."""
-    w, v, d_w, d_v = qpos[3], qpos[4:7], d_qpos[3], d_qpos[4:7]
+    w, v, d_w, d_v = qpos[REAL], qpos[IMAGINARY], d_qpos[REAL], d_qpos[IMAGINARY]
     turned = 2.0 * (w * d_v - d_w * v - spatial.cross(v, d_v)) / (w * w + jnp.sum(v * v))
-    return jnp.concatenate([d_qpos[:3], turned, d_qpos[7:]])
+    return jnp.concatenate([d_qpos[POSITION], turned, d_qpos[QUATERNION.stop :]])
 
 
 def _moved(
     model: Any,
     body: BodyMotion,
-    qvel: Float[Array, "18"],
-    shift: Float[Array, "18"],
-    d_qvel: Float[Array, "18"],
+    qvel: Float[Array, " nv"],
+    shift: Float[Array, " nv"],
+    d_qvel: Float[Array, " nv"],
 ) -> BodyMotion:
     """How everything changes with a small shift of the coordinates (as a qvel) and of qvel."""
     links = Links(body.dof_axes, body.link_inertia)
@@ -186,16 +188,16 @@ def _moved(
     d_links = spatial.carried_along(links, moved, d_centre)
     feet = moved.leg[:, -1]
 
-    def twist(axes: Float[Array, "18 6"], speed: Float[Array, "18"]) -> Float[Array, "2 6"]:
+    def twist(axes: Float[Array, "nv 6"], speed: Float[Array, " nv"]) -> Float[Array, "2 6"]:
         return spatial.velocities(axes, speed).leg[:, -1]
 
-    def bias(moving: Links, speed: Float[Array, "18"]) -> Float[Array, "18"]:
+    def bias(moving: Links, speed: Float[Array, " nv"]) -> Float[Array, " nv"]:
         return spatial.inverse_dynamics(moving, speed, jnp.zeros_like(speed), model.opt.gravity)
 
-    def column(moving: Links, unit: Float[Array, "18"]) -> Float[Array, "18"]:
+    def column(moving: Links, unit: Float[Array, " nv"]) -> Float[Array, " nv"]:
         return spatial.inverse_dynamics(moving, jnp.zeros_like(unit), unit, jnp.zeros_like(model.opt.gravity))
 
-    units = jnp.eye(NV, dtype=qvel.dtype)
+    units = jnp.eye(BIPED.nv, dtype=qvel.dtype)
     return BodyMotion(
         p_world_foot=spatial.point_shift(feet, body.p_world_foot - body.centre),
         rot_world_foot=spatial.turned(feet[:, :3], body.rot_world_foot),
@@ -212,41 +214,41 @@ def _moved(
 
 def foot_axes(body: BodyMotion) -> Float[Array, "2 12 6"]:
     """Spatial motion of each foot per unit of the trunk's six qvel and of its own leg's six; no other moves it."""
-    trunk = jnp.broadcast_to(body.dof_axes[:FREE_DOFS], (2, FREE_DOFS, 6))
-    return jnp.concatenate([trunk, body.dof_axes[FREE_DOFS:].reshape(2, 6, 6)], axis=1)
+    trunk = jnp.broadcast_to(body.dof_axes[BASE], (2, 6, 6))
+    return jnp.concatenate([trunk, BIPED.leg_rows(body.dof_axes)], axis=1)
 
 
-def foot_twist(body: BodyMotion, qvel: Float[Array, "18"]) -> Float[Array, "2 6"]:
+def foot_twist(body: BodyMotion, qvel: Float[Array, " nv"]) -> Float[Array, "2 6"]:
     """Twist of each foot about `body.centre` for any qvel."""
     return spatial.velocities(body.dof_axes, qvel).leg[:, -1]
 
 
 def inverse_dynamics(
-    body: BodyMotion, qvel: Float[Array, "18"], qacc: Float[Array, "18"], gravity: Float[Array, "3"]
-) -> Float[Array, "18"]:
+    body: BodyMotion, qvel: Float[Array, " nv"], qacc: Float[Array, " nv"], gravity: Float[Array, "3"]
+) -> Float[Array, " nv"]:
     """Joint-space force that a motion needs, by Newton and Euler: `mass_matrix @ qacc + bias` without the rotors."""
     return spatial.inverse_dynamics(Links(body.dof_axes, body.link_inertia), qvel, qacc, gravity)
 
 
 def generalized_force(
     body: BodyMotion, moment: Float[Array, "2 3"], force: Float[Array, "2 3"]
-) -> Float[Array, "18"]:
+) -> Float[Array, " nv"]:
     """Joint-space force of a wrench on each foot; moment about `body.centre` [N m], force [N], world axes."""
     wrench = jnp.concatenate([moment, force], axis=1)
-    trunk = jnp.sum(body.dof_axes[:FREE_DOFS] * wrench.sum(axis=0), axis=1)
-    legs = jnp.sum(body.dof_axes[FREE_DOFS:].reshape(2, 6, 6) * wrench[:, None], axis=2)
-    return jnp.concatenate([trunk, legs.reshape(-1)])
+    trunk = jnp.sum(body.dof_axes[BASE] * wrench.sum(axis=0), axis=1)
+    legs = jnp.sum(BIPED.leg_rows(body.dof_axes) * wrench[:, None], axis=2)
+    return BIPED.joint_space(trunk, legs)
 
 
-def trunk_force(body: BodyMotion, moment: Float[Array, "3"], force: Float[Array, "3"]) -> Float[Array, "18"]:
+def trunk_force(body: BodyMotion, moment: Float[Array, "3"], force: Float[Array, "3"]) -> Float[Array, " nv"]:
     """Joint-space force of a wrench on the trunk; moment about `body.centre` [N m], force [N], world axes."""
     wrench = jnp.concatenate([moment, force])
-    return (body.dof_axes @ wrench).at[FREE_DOFS:].set(0.0)
+    return (body.dof_axes @ wrench).at[BIPED.leg_dofs].set(0.0)
 
 
 def integrate(
-    model: Any, qpos: Float[Array, "19"], qvel: Float[Array, "18"], dt: float
-) -> Float[Array, "19"]:
+    model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], dt: float
+) -> Float[Array, " nq"]:
     """Move qpos along qvel for dt [s] (the quaternion by its exponential)."""
     return _integrate_pos(model.jnt_type, qpos, qvel, jnp.asarray(dt, qpos.dtype))
 
@@ -260,30 +262,30 @@ class JointMatrix(eqx.Module):
     leg: Float[Array, "2 6 6"]
 
 
-def blocks(matrix: Float[Array, "18 18"]) -> JointMatrix:
+def blocks(matrix: Float[Array, "nv nv"]) -> JointMatrix:
     """The blocks of a full matrix; those between the legs are taken to be zero."""
-    left, right = slice(FREE_DOFS, FREE_DOFS + 6), slice(FREE_DOFS + 6, NV)
+    left, right = BIPED.side_dofs(LEFT), BIPED.side_dofs(RIGHT)
     return JointMatrix(
-        trunk=matrix[:FREE_DOFS, :FREE_DOFS],
-        coupling=jnp.stack([matrix[left, :FREE_DOFS], matrix[right, :FREE_DOFS]]),
+        trunk=matrix[BASE, BASE],
+        coupling=jnp.stack([matrix[left, BASE], matrix[right, BASE]]),
         leg=jnp.stack([matrix[left, left], matrix[right, right]]),
     )
 
 
-def solve(matrix: JointMatrix, force: Float[Array, "18"]) -> Float[Array, "18"]:
+def solve(matrix: JointMatrix, force: Float[Array, " nv"]) -> Float[Array, " nv"]:
     """Solve the symmetric positive definite system `matrix @ x = force`.
 
     Both legs are eliminated at once, then the trunk; written out, since LAPACK calls one small matrix at a time.
     """
-    on_leg = force[FREE_DOFS:].reshape(2, 6, 1)
+    on_leg = BIPED.leg_columns(force)
     solved = _eliminate(matrix.leg, jnp.concatenate([matrix.coupling, on_leg], axis=2))
-    reduced = jnp.concatenate([matrix.trunk, force[:FREE_DOFS, None]], axis=1)
+    reduced = jnp.concatenate([matrix.trunk, force[BASE, None]], axis=1)
     for leg in range(2):
         for joint in range(6):
             reduced = reduced - matrix.coupling[leg, joint, :, None] * solved[leg, joint]
-    trunk = _eliminate(reduced[:, :FREE_DOFS], reduced[:, FREE_DOFS:])[:, 0]
-    legs = solved[..., FREE_DOFS] - jnp.sum(solved[..., :FREE_DOFS] * trunk, axis=-1)
-    return jnp.concatenate([trunk, legs.reshape(-1)])
+    trunk = _eliminate(reduced[:, :6], reduced[:, 6:])[:, 0]
+    legs = solved[..., 6] - jnp.sum(solved[..., :6] * trunk, axis=-1)
+    return BIPED.joint_space(trunk, legs)
 
 
 class Inverse(eqx.Module):
@@ -296,20 +298,20 @@ class Inverse(eqx.Module):
     leg: Float[Array, "2 6 6"]
     """Inverse of the legs' blocks."""
 
-    def times(self, force: Float[Array, "18"]) -> Float[Array, "18"]:
+    def times(self, force: Float[Array, " nv"]) -> Float[Array, " nv"]:
         """Solve for one right-hand side."""
-        on_leg = force[FREE_DOFS:].reshape(2, 6)
-        left = force[:FREE_DOFS] - jnp.sum(self.ratio * on_leg[..., None], axis=(0, 1))
+        on_leg = BIPED.leg_rows(force)
+        left = force[BASE] - jnp.sum(self.ratio * on_leg[..., None], axis=(0, 1))
         trunk = jnp.sum(self.trunk * left, axis=1)
         legs = jnp.sum(self.leg * on_leg[:, None], axis=2) - jnp.sum(self.ratio * trunk, axis=2)
-        return jnp.concatenate([trunk, legs.reshape(-1)])
+        return BIPED.joint_space(trunk, legs)
 
 
 def inverse(matrix: JointMatrix) -> Inverse:
     """Eliminate once, for many right-hand sides."""
     unit = jnp.broadcast_to(jnp.eye(6, dtype=matrix.leg.dtype), (2, 6, 6))
     solved = _eliminate(matrix.leg, jnp.concatenate([matrix.coupling, unit], axis=2))
-    ratio, leg = solved[..., :FREE_DOFS], solved[..., FREE_DOFS:]
+    ratio, leg = solved[..., :6], solved[..., 6:]
     left = matrix.trunk - jnp.einsum("lji,ljk->ik", matrix.coupling, ratio)
     return Inverse(_eliminate(left, unit[0]), ratio, leg)
 
@@ -329,8 +331,8 @@ def _eliminate(matrix: Float[Array, "*n 6 6"], right: Float[Array, "*n 6 k"]) ->
 class NativeStep(eqx.Module):
     """One step of MJX: the state after it, and what it saw at its start."""
 
-    qpos: Float[Array, "19"]
-    qvel: Float[Array, "18"]
+    qpos: Float[Array, " nq"]
+    qvel: Float[Array, " nv"]
     body: BodyMotion
     corner_force: Float[Array, "2 4 3"]
     """Force on each sole corner, world axes [N]."""
@@ -344,15 +346,15 @@ def contact_model(spec: mujoco.MjSpec, iterations: int) -> Any:
     spec.option.iterations, spec.option.ls_iterations = iterations, 2 * iterations
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     model = spec.compile()
-    assert int(model.body("payload").id) == PAYLOAD
+    _require_layout(model)
     return mjx.put_model(model)
 
 
 def native_step(
     model: Any,
     corner_geom: np.ndarray,
-    qpos: Float[Array, "19"],
-    qvel: Float[Array, "18"],
+    qpos: Float[Array, " nq"],
+    qvel: Float[Array, " nv"],
     ctrl: Float[Array, "12"],
     push: Float[Array, "3"],
 ) -> NativeStep:

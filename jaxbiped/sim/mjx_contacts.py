@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbiped.planner import is_concrete
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import LEFT, RobotParams
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import ground, mjx_adapter, plant, sensors, statistics
 from jaxbiped.sim.ground import Contact
-from jaxbiped.sim.mjx_adapter import LEFT_FOOT, BodyMotion
+from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.model import build_spec
 from jaxbiped.sim.plant import Plant
 from jaxbiped.sim.scenario import Terrain
@@ -96,7 +97,7 @@ def physics_tick(
         tick=state.tick + 1,
         qpos=step.qpos,
         qvel=step.qvel,
-        integral=state.integral + dt * (reference.angle - state.qpos[7:].reshape(2, 6)),
+        integral=state.integral + dt * (reference.angle - BIPED.leg_angles(state.qpos)),
         switches=sensors.read_switches(state.switches, touch.gap, time, dt, world.scenario.sensors),
         filtered=ground.low_passed(state.filtered, touch, dt),
         statistics=statistics.update(state.statistics, step.body, touch, time + dt, dt),
@@ -134,7 +135,7 @@ def _model_now(world: Plant, time: Float[Array, ""], dt: float) -> Any:
     middle = jnp.concatenate([(terrain.upper + terrain.lower) / 2.0, (top - DEPTH / 2.0)[:, None]], 1)
     boxes = slice(_BOX_0, _BOX_0 + top.shape[0])
     wanted = ground.stiffness(world.robot, world.scenario.ground)
-    constant = jnp.sqrt(1.0 / ((1.0 - IMPEDANCE) * wanted * world.model.body_invweight0[LEFT_FOOT, 0]))
+    constant = jnp.sqrt(1.0 / ((1.0 - IMPEDANCE) * wanted * world.model.body_invweight0[BIPED.feet[LEFT], 0]))
     impedance = jnp.array([IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0], kp.dtype)
     return model.replace(
         actuator_gainprm=model.actuator_gainprm.at[:, 0].set(kp),

@@ -15,7 +15,6 @@ from jaxbiped.robot import JOINT_AXES, JOINT_NAMES, LEG_LINK_NAMES, SIDE_NAMES, 
 CORNER_NAMES = ("toe_left", "toe_right", "heel_left", "heel_right")
 CORNER_RADIUS = 0.005
 """Radius of the spheres that stand for the sole corners in MuJoCo's own contacts [m]; they touch at the sole."""
-FREE_DOFS = 6
 _UNIT = {axis: np.eye(3)[i] for i, axis in enumerate("xyz")}
 
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbiped.robot import RobotParams, Servo
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import ground, mjx_adapter, servo
 from jaxbiped.sim.mjx_adapter import PAYLOAD, TRUNK, BodyMotion
-from jaxbiped.sim.model import FREE_DOFS
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.servo import Reference
 
@@ -22,7 +22,7 @@ STOP_STIFFNESS = 10.0
 STOP_DAMPING = 10.0
 """Of that spring, a in tau = k d (1 + a d') [s/rad]."""
 
-BodyMasses = tuple[Float[Array, "15"], Float[Array, "15 3"], Float[Array, "15 3"]]
+BodyMasses = tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]
 
 
 class World(eqx.Module):
@@ -87,7 +87,7 @@ def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model
 
 def _with_errors(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
     mass, com, inertia = masses
-    links = slice(TRUNK, TRUNK + 13)
+    links = BIPED.links
     scale = scenario.errors.mass_scale
     return (
         mass.at[links].multiply(scale),
@@ -121,19 +121,19 @@ def _attach_thesis(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
 
 
 def body_motion(
-    plant: Plant, qpos: Float[Array, "19"], qvel: Float[Array, "18"], time: Float[Array, ""], dt: float
+    plant: Plant, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], time: Float[Array, ""], dt: float
 ) -> BodyMotion:
     """Kinematics and dynamics at the masses of this tick; a load counts for the part of it in which it is attached."""
     return _motion(plant, qpos, qvel, plant.scenario.payload.share(time, dt))
 
 
-def motion_at_rest(plant: Plant, qpos: Float[Array, "19"]) -> BodyMotion:
+def motion_at_rest(plant: Plant, qpos: Float[Array, " nq"]) -> BodyMotion:
     """The same before the walk, standing still: with a load that is carried from the start, without any other."""
     carried = plant.scenario.payload.is_carried.astype(qpos.dtype)
-    return _motion(plant, qpos, jnp.zeros(mjx_adapter.NV, qpos.dtype), carried)
+    return _motion(plant, qpos, jnp.zeros(BIPED.nv, qpos.dtype), carried)
 
 
-def _motion(plant: Plant, qpos: Float[Array, "19"], qvel: Float[Array, "18"], share: Any) -> BodyMotion:
+def _motion(plant: Plant, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], share: Any) -> BodyMotion:
     return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *masses(plant, share)), qpos, qvel)
 
 
@@ -143,14 +143,14 @@ def masses(plant: Plant, share: Float[Array, ""]) -> BodyMasses:
     return mass, com, inertia
 
 
-def contact_force(body: BodyMotion, contact: ground.Contact) -> Float[Array, "18"]:
+def contact_force(body: BodyMotion, contact: ground.Contact) -> Float[Array, " nv"]:
     """Joint-space force of the ground."""
     arm = contact.p_world_corner - body.centre
     moment = jnp.cross(arm, contact.force).sum(axis=1)
     return mjx_adapter.generalized_force(body, moment, contact.force.sum(axis=1))
 
 
-def push_force(plant: Plant, body: BodyMotion, time: Float[Array, ""], dt: float) -> Float[Array, "18"]:
+def push_force(plant: Plant, body: BodyMotion, time: Float[Array, ""], dt: float) -> Float[Array, " nv"]:
     """Joint-space force of the push, on the trunk's centre of mass; its ends count by their share of the tick."""
     push = plant.scenario.push
     overlap = jnp.minimum(time + dt, push.start + push.length) - jnp.maximum(time, push.start)
@@ -170,20 +170,20 @@ class Forces(eqx.Module):
     """Of servos and stops, at the joint speeds of the start of the tick [N m]."""
     damping: Float[Array, "2 6"]
     """That servos and stops still owe, see `servo.torque` [N m s/rad]."""
-    push: Float[Array, "18"]
+    push: Float[Array, " nv"]
     """Joint-space force of the push."""
-    qvel: Float[Array, "18"]
+    qvel: Float[Array, " nv"]
     """At the start of the tick."""
     gravity: Float[Array, "3"]
     """[m/s2]"""
-    armature: Float[Array, "18"]
+    armature: Float[Array, " nv"]
     """Inertia of the rotors per joint [kg m2]."""
     dt: float = eqx.field(static=True)
     """Tick [s]."""
 
 
 @jax.custom_jvp
-def acceleration(forces: Forces) -> Float[Array, "18"]:
+def acceleration(forces: Forces) -> Float[Array, " nv"]:
     """Joint-space acceleration; ground, stops and the servos' damping act at the velocity of the end of the tick.
 
     Differentiated through inverse dynamics: what a change leaves of `balance` must be made good by the acceleration.
@@ -193,7 +193,7 @@ def acceleration(forces: Forces) -> Float[Array, "18"]:
 
 
 @acceleration.defjvp
-def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, "18"], Float[Array, "18"]]:
+def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, " nv"], Float[Array, " nv"]]:
     # One elimination for the acceleration and all its tangents.
     inverse = mjx_adapter.inverse(_matrix(*primals))
     qacc = inverse.times(_force(*primals))
@@ -201,10 +201,10 @@ def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, "18"], 
     return qacc, inverse.times(left)
 
 
-def _force(forces: Forces) -> Float[Array, "18"]:
+def _force(forces: Forces) -> Float[Array, " nv"]:
     """Joint-space force at the velocity of the start of the tick."""
     body, torque = forces.body, forces.torque.reshape(-1)
-    return (contact_force(body, forces.contact) + forces.push - body.bias).at[FREE_DOFS:].add(torque)
+    return (contact_force(body, forces.contact) + forces.push - body.bias).at[BIPED.leg_dofs].add(torque)
 
 
 def _matrix(forces: Forces) -> mjx_adapter.JointMatrix:
@@ -218,12 +218,12 @@ def _matrix(forces: Forces) -> mjx_adapter.JointMatrix:
     return eqx.tree_at(lambda m: m.leg, matrix, matrix.leg + dt * forces.damping[..., None] * jnp.eye(6))
 
 
-def balance(forces: Forces, qacc: Float[Array, "18"]) -> Float[Array, "18"]:
+def balance(forces: Forces, qacc: Float[Array, " nv"]) -> Float[Array, " nv"]:
     """What is left of all joint-space forces when an acceleration has taken what it needs: zero for the right one."""
     body, change = forces.body, forces.dt * qacc
-    late = forces.torque - forces.damping * change[FREE_DOFS:].reshape(2, 6)
+    late = forces.torque - forces.damping * BIPED.leg_speeds(change)
     contact = eqx.tree_at(lambda c: c.force, forces.contact, ground.force_after(body, forces.contact, change))
-    given = (contact_force(body, contact) + forces.push).at[FREE_DOFS:].add(late.reshape(-1))
+    given = (contact_force(body, contact) + forces.push).at[BIPED.leg_dofs].add(late.reshape(-1))
     needed = mjx_adapter.inverse_dynamics(body, forces.qvel, qacc, forces.gravity)
     return given - needed - forces.armature * qacc
 
@@ -231,8 +231,8 @@ def balance(forces: Forces, qacc: Float[Array, "18"]) -> Float[Array, "18"]:
 def joint_torque(
     plant: Plant,
     reference: Reference,
-    qpos: Float[Array, "19"],
-    qvel: Float[Array, "18"],
+    qpos: Float[Array, " nq"],
+    qvel: Float[Array, " nv"],
     integral: Float[Array, "2 6"],
     dt: float,
 ) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"], Float[Array, "2 6"]]:
@@ -240,7 +240,7 @@ def joint_torque(
 
     At the ends of its range a joint meets a one-sided spring, STOP_STIFFNESS times as stiff as its servo.
     """
-    angle, speed = qpos[FREE_DOFS + 1 :].reshape(2, 6), qvel[FREE_DOFS:].reshape(2, 6)
+    angle, speed = BIPED.leg_angles(qpos), BIPED.leg_speeds(qvel)
     torque, damping = servo.torque(plant.servo, reference, angle, speed, integral)
     lower, upper = plant.robot.joint_range[..., 0], plant.robot.joint_range[..., 1]
     stiffness = STOP_STIFFNESS * plant.servo.kp

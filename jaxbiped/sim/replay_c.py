@@ -22,10 +22,11 @@ from jaxbiped import runtime
 from jaxbiped.adapt import Controller, Sensed
 from jaxbiped.planner import Targets, at, support
 from jaxbiped.robot import RobotParams
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import c_world, sensors
 from jaxbiped.sim.c_world import SPHERES, heights
 from jaxbiped.sim.feed_forward import FeedForward
-from jaxbiped.sim.mjx_adapter import LEFT_FOOT, RIGHT_FOOT, TRUNK
+from jaxbiped.sim.mjx_adapter import TRUNK
 from jaxbiped.sim.options import COMPLIANT, Options
 from jaxbiped.sim.scenario import Scenario, SensorFaults
 from jaxbiped.sim.sensors import BOUNCE_PERIOD, Delay
@@ -48,7 +49,7 @@ from jaxbiped.sim.tick import Sample, Walk, servo_reference
 
 TOGETHER = 256
 """Control ticks whose support polygons are looked at together."""
-_FEET = [LEFT_FOOT, RIGHT_FOOT]
+_FEET = BIPED.feet.tolist()
 _SOLE_SITES, _CORNER_SITES = [0, 5], [1, 2, 3, 4, 6, 7, 8, 9]
 """Numbers of the sites, foot by foot the sole's and its corners'."""
 Told = Callable[[float, int], None]
@@ -185,7 +186,7 @@ def _references(robot: RobotParams, targets: Targets, table: FeedForward) -> Ref
 
 
 @runtime.jit
-def _start(simulation: Simulation, scenarios: Scenario) -> tuple[Float[Array, "n 19"], References]:
+def _start(simulation: Simulation, scenarios: Scenario) -> tuple[Float[Array, "n nq"], References]:
     """Where walks start: at rest on the compliant ground."""
     first = _references(simulation.robot, at(simulation.controller.gait, 0.0), simulation.torque)
     return jax.vmap(lambda scenario: simulation.start(scenario).physics.qpos)(scenarios), first
@@ -251,7 +252,7 @@ class _Worlds:
             self.groups[contact] = lanes, rows
             for i, row in zip(lanes, rows, strict=True):
                 self.readings[i] = row
-        self.qpos, self.qvel, self.torque = qpos.copy(), np.zeros((n, 18)), np.zeros((n, 12))
+        self.qpos, self.qvel, self.torque = qpos.copy(), np.zeros((n, BIPED.nv)), np.zeros((n, 12))
         payload, push = self.scenarios.payload, self.scenarios.push
         self.attach_time = np.where(payload.mass > 0.0, payload.time, np.inf)
         self.detach_time = np.where(payload.mass > 0.0, payload.end, np.inf)
@@ -296,7 +297,9 @@ class _Worlds:
             told = ctrl
             if self.has_integral:
                 told = ctrl + self.ki * self.integral / self.kp
-                self.integral += dt * (angle - np.stack([lane.data.qpos[7:] for lane in self.lanes]))
+                self.integral += dt * (
+                    angle - np.stack([lane.data.qpos[BIPED.leg_coordinates] for lane in self.lanes])
+                )
                 angle = angle + dt * speed
             self._step(told)
             after(tick)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity, Refusal
 from jaxbiped.planner import Gait, at, is_concrete
-from jaxbiped.robot import SIDE_NAMES, RobotParams
+from jaxbiped.robot import LINK_NAMES, SIDE_NAMES, RobotParams
 
 Scalar = Float[Array, "*batch"]
 
@@ -131,7 +131,7 @@ class Ground(eqx.Module):
 class ModelErrors(eqx.Module):
     """How the simulated robot differs from the one the planner knows."""
 
-    mass_scale: Float[Array, "*batch 13"] = eqx.field(converter=_array)
+    mass_scale: Float[Array, "*batch link"] = eqx.field(converter=_array)
     """Factor on every link's mass and inertia."""
     trunk_com_offset: Float[Array, "*batch 3"] = eqx.field(converter=_array)
     """Shift of the trunk's centre of mass [m]."""
@@ -187,7 +187,7 @@ class Scenario(eqx.Module):
             payload=Payload(mass=0.0, time=NEVER, place=(0.2, 0.0, 0.25), size=0.2),
             push=Push(force=(0.0, 0.0, 0.0), start=NEVER, length=0.0),
             ground=Ground(sinkage=1.2e-4, damping=250.0, friction=0.8, slip_speed=1e-4),
-            errors=ModelErrors(jnp.ones(13), jnp.zeros(3), jnp.ones((2, 6))),
+            errors=ModelErrors(jnp.ones(len(LINK_NAMES)), jnp.zeros(3), jnp.ones((2, 6))),
             sensors=SensorFaults(
                 delta_z=jnp.full((2, 4), 0.01),
                 stuck_open=jnp.zeros((2, 4)),

@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbiped.adapt import Sensed
 from jaxbiped.kinematics import pose
 from jaxbiped.kinematics.rotation import about_x, about_y
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import LINK_NAMES, SIDE_NAMES, RobotParams
+from jaxbiped.robot.layout import BIPED, TURNING
 from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.scenario import SensorFaults
@@ -20,7 +21,7 @@ BOUNCE_PERIOD = 1e-3
 """For how long a bouncing switch stays open or closed [s]."""
 LOADED = 1.0
 """Sum of the vertical forces above which they have a centre [N]."""
-_FEET = np.array([6, 12])
+_FEET = np.array([LINK_NAMES.index(f"{side}_foot") for side in SIDE_NAMES])
 """Numbers of the feet among the links."""
 
 
@@ -77,8 +78,8 @@ def centre_of_pressure(contact: Contact, otherwise: Float[Array, "2"]) -> Float[
 def sense(
     body: BodyMotion,
     contact: Contact,
-    qpos: Float[Array, "19"],
-    qvel: Float[Array, "18"],
+    qpos: Float[Array, " nq"],
+    qvel: Float[Array, " nv"],
     switches: SwitchState,
     zmp: Float[Array, "2"],
     time: Float[Array, ""],
@@ -100,10 +101,10 @@ def sense(
         switch_time=switches.time,
         corner_force=contact.force[..., 2],
         ankle_wrench=wrench,
-        angle=qpos[7:].reshape(2, 6),
-        speed=qvel[6:].reshape(2, 6),
+        angle=BIPED.leg_angles(qpos),
+        speed=BIPED.leg_speeds(qvel),
         roll_pitch=jnp.stack([roll, pitch]),
-        rate=qvel[3:6],
+        rate=qvel[TURNING],
         zmp_world=zmp,
         zmp_body=jnp.stack([c * forward[0] + s * forward[1], -s * forward[0] + c * forward[1]]),
     )

@@ -11,18 +11,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbiped.sim.model import FREE_DOFS
-
-ROTATIONS = slice(3, FREE_DOFS)
-"""Of the trunk's degrees of freedom: three translations along world axes, then three rotations about its own."""
+from jaxbiped.robot.layout import BASE, BIPED, TURNING
 
 
 class Links(eqx.Module):
     """The links at one instant."""
 
-    axes: Float[Array, "18 6"]
+    axes: Float[Array, "nv 6"]
     """Spatial motion per unit of each qvel."""
-    inertia: Float[Array, "13 10"]
+    inertia: Float[Array, "link 10"]
     """Of the trunk and of the links of both legs: xx, yy, zz, xy, xz, yz, first moment, mass."""
 
 
@@ -34,7 +31,7 @@ class Along(eqx.Module):
     """Last axis but one: from hip to foot."""
 
     @property
-    def all(self) -> Float[Array, "13 6"]:
+    def all(self) -> Float[Array, "link 6"]:
         """Trunk, left leg, right leg."""
         return jnp.concatenate([self.trunk[None], self.leg.reshape(12, 6)])
 
@@ -77,10 +74,10 @@ def _down(trunk: Float[Array, "6"], joints: Float[Array, "2 6 6"]) -> Along:
     return Along(trunk, jnp.stack(sums, axis=1))
 
 
-def velocities(axes: Float[Array, "18 6"], speed: Float[Array, "18"]) -> Along:
+def velocities(axes: Float[Array, "nv 6"], speed: Float[Array, " nv"]) -> Along:
     """Twist of every link; of a small shift of the coordinates, how every link is displaced."""
     moving = axes * speed[:, None]
-    return _down(moving[:FREE_DOFS].sum(axis=0), moving[FREE_DOFS:].reshape(2, 6, 6))
+    return _down(moving[BASE].sum(axis=0), BIPED.leg_rows(moving))
 
 
 def centre_shift(links: Links, moved: Along) -> Float[Array, "3"]:
@@ -104,13 +101,13 @@ def turned(by: Float[Array, "*n 3"], rotation: Float[Array, "*n 3 3"]) -> Float[
 def carried_along(links: Links, moved: Along, d_centre: Float[Array, "3"]) -> Links:
     """Change of axes and inertias with the displacement of the links and of the reference point."""
     way = moved.all.at[:, 3:].add(-d_centre)
-    joints = cross_motion(way[1:], links.axes[FREE_DOFS:])
-    rotations = cross_motion(jnp.broadcast_to(way[0], (3, 6)), links.axes[ROTATIONS])
+    joints = cross_motion(way[1:], links.axes[BIPED.leg_dofs])
+    rotations = cross_motion(jnp.broadcast_to(way[0], (3, 6)), links.axes[TURNING])
     axes = jnp.concatenate([jnp.zeros_like(rotations), rotations, joints])
     return Links(axes, _inertia_shift(links.inertia, way))
 
 
-def _inertia_shift(inertia: Float[Array, "13 10"], way: Float[Array, "13 6"]) -> Float[Array, "13 10"]:
+def _inertia_shift(inertia: Float[Array, "link 10"], way: Float[Array, "link 6"]) -> Float[Array, "link 10"]:
     xx, yy, zz, xy, xz, yz = (inertia[:, i] for i in range(6))
     first, mass = inertia[:, 6:9], inertia[:, 9:]
     w, v = way[:, :3], way[:, 3:]
@@ -124,8 +121,8 @@ def _inertia_shift(inertia: Float[Array, "13 10"], way: Float[Array, "13 6"]) ->
 
 
 def inverse_dynamics(
-    links: Links, speed: Float[Array, "18"], acceleration: Float[Array, "18"], gravity: Float[Array, "3"]
-) -> Float[Array, "18"]:
+    links: Links, speed: Float[Array, " nv"], acceleration: Float[Array, " nv"], gravity: Float[Array, "3"]
+) -> Float[Array, " nv"]:
     """Generalized force that a motion needs, rotors left out (Newton and Euler's recursion).
 
     Args:
@@ -135,13 +132,13 @@ def inverse_dynamics(
         gravity: [m/s2].
     """
     twist = velocities(links.axes, speed)
-    trunk_axes, leg_axes = links.axes[:FREE_DOFS], links.axes[FREE_DOFS:].reshape(2, 6, 6)
-    rates = cross_motion(jnp.broadcast_to(twist.trunk, (3, 6)), trunk_axes[ROTATIONS])
+    trunk_axes, leg_axes = links.axes[BASE], BIPED.leg_rows(links.axes)
+    rates = cross_motion(jnp.broadcast_to(twist.trunk, (3, 6)), trunk_axes[TURNING])
     falling = jnp.concatenate([jnp.zeros_like(gravity), -gravity])
-    trunk = jnp.sum(trunk_axes * acceleration[:FREE_DOFS, None], axis=0)
-    trunk = trunk + jnp.sum(rates * speed[ROTATIONS, None], axis=0)
-    joints = leg_axes * acceleration[FREE_DOFS:].reshape(2, 6, 1)
-    joints = joints + cross_motion(twist.leg, leg_axes) * speed[FREE_DOFS:].reshape(2, 6, 1)
+    trunk = jnp.sum(trunk_axes * acceleration[BASE, None], axis=0)
+    trunk = trunk + jnp.sum(rates * speed[TURNING, None], axis=0)
+    joints = leg_axes * BIPED.leg_columns(acceleration)
+    joints = joints + cross_motion(twist.leg, leg_axes) * BIPED.leg_columns(speed)
     accelerating, moving = _down(falling + trunk, joints).all, twist.all
     needed = times_inertia(links.inertia, accelerating)
     needed = needed + cross_force(moving, times_inertia(links.inertia, moving))
@@ -151,4 +148,4 @@ def inverse_dynamics(
         carried.append(carried[-1] + legs[:, joint])
     on_trunk = needed[0] + carried[-1].sum(axis=0)
     on_legs = jnp.sum(leg_axes * jnp.stack(carried[::-1], axis=1), axis=2)
-    return jnp.concatenate([jnp.sum(trunk_axes * on_trunk, axis=1), on_legs.reshape(-1)])
+    return BIPED.joint_space(jnp.sum(trunk_axes * on_trunk, axis=1), on_legs)

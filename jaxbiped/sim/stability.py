@@ -14,7 +14,8 @@ from jaxbiped.checked import Refusal
 from jaxbiped.kinematics import GRAVITY
 from jaxbiped.planner import is_concrete
 from jaxbiped.robot import SIDE_NAMES, RobotParams
-from jaxbiped.sim.model import CORNER_NAMES, FREE_DOFS, build_model
+from jaxbiped.robot.layout import BASE_DOFS
+from jaxbiped.sim.model import CORNER_NAMES, build_model
 
 LONGEST_DT = 0.01
 """Longest physics tick there is [s]."""
@@ -113,4 +114,4 @@ def _linear(robot: RobotParams, sinkage: float, gain_scale: float) -> _Linear:
 
 
 def _on_joints(gains: np.ndarray) -> np.ndarray:
-    return np.diag(np.concatenate([np.zeros(FREE_DOFS), gains.reshape(-1)]))
+    return np.diag(np.concatenate([np.zeros(BASE_DOFS), gains.reshape(-1)]))

@@ -13,12 +13,12 @@ from jaxbiped.adapt import Controller, ControllerState, Sensed
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at
 from jaxbiped.robot import RobotParams
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import (
     compliant,
     equilibrium,
     feed_forward,
     ground,
-    mjx_adapter,
     mjx_contacts,
     plant,
     sensors,
@@ -84,7 +84,7 @@ class Sample(eqx.Module):
     """Contact switches."""
     torque: Float[Array, "*n 2 6"]
     """Joint torques [N m]."""
-    qpos: Float[Array, "*n 19"]
+    qpos: Float[Array, "*n nq"]
     """MuJoCo coordinates, for replay and drawing."""
     targets: Targets
     """What the controller asked for."""
@@ -145,7 +145,7 @@ class PureSimulation(eqx.Module):
         physics = Physics(
             tick=jnp.zeros((), jnp.int32),
             qpos=qpos,
-            qvel=jnp.zeros(mjx_adapter.NV, qpos.dtype),
+            qvel=jnp.zeros(BIPED.nv, qpos.dtype),
             integral=jnp.zeros((2, 6), qpos.dtype),
             switches=sensors.init_switches(touch.gap, scenario.sensors),
             pressed=ground.normal_force(touch),

@@ -12,9 +12,10 @@ import pytest
 from closed_loop import STANDS_FOR, setup
 
 from jaxbiped.adapt import Controller
+from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import Options, Scenario, c_world, ground
 from jaxbiped.sim.c_world import BOX, SPHERES, STIFF, build_world, level_boxes
-from jaxbiped.sim.mjx_adapter import LEFT_FOOT, RIGHT_FOOT, TRUNK
+from jaxbiped.sim.mjx_adapter import TRUNK
 from jaxbiped.sim.model import build_spec
 from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.statistics import FELL, OK
@@ -100,7 +101,7 @@ def forces_at_an_edge(contact: str) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     data.qvel[0] = 0.3
     for _ in range(100):
         mujoco.mj_step(model, data)
-    sole, turn = data.site_xpos[[0, 5]], data.xmat.reshape(-1, 3, 3)[[LEFT_FOOT, RIGHT_FOOT]]
+    sole, turn = data.site_xpos[[0, 5]], data.xmat.reshape(-1, 3, 3)[BIPED.feet]
     found = c_world.corner_forces(case.params, contact, data.sensordata[None], sole[None], turn[None])[0]
     geoms, forces = [], []
     for i in range(data.ncon):
@@ -305,7 +306,7 @@ def test_an_edge_under_the_soles_carries(contact):
     data.qpos[2] += height
     for _ in range(800):
         mujoco.mj_step(model, data)
-    sole, turn = data.site_xpos[[0, 5]], data.xmat.reshape(-1, 3, 3)[[LEFT_FOOT, RIGHT_FOOT]]
+    sole, turn = data.site_xpos[[0, 5]], data.xmat.reshape(-1, 3, 3)[BIPED.feet]
     force = c_world.corner_forces(case.params, contact, data.sensordata[None], sole[None], turn[None])[0]
     assert force[:, 2].sum() == pytest.approx(case.weight, rel=0.05)  # the trunk rocks
     assert force[[0, 1, 4, 5], 2].sum() > 0.05 * case.weight
