@@ -123,7 +123,7 @@ class Layout:
     @cached_property
     def _legs_are_all(self) -> bool:
         """Whether the legs' joints are all there are, in order."""
-        return self.leg_dofs == slice(BASE_DOFS, self.nv)
+        return np.array_equal(self.legs.ravel(), np.arange(len(self.hinges)))
 
 
 def _places(numbers: np.ndarray) -> slice | np.ndarray:
