@@ -41,7 +41,8 @@ import numpy as np
 
 import jaxbiped
 from jaxbiped import checked, files, robot, runtime
-from jaxbiped.adapt import Controller
+from jaxbiped.adapt import Controller, variants
+from jaxbiped.batch import defaults
 from jaxbiped.batch.summary import wilson
 from jaxbiped.checked import Quantity, Refusal
 from jaxbiped.commands import choices
@@ -266,13 +267,13 @@ def set_up(name: str, variant: str) -> tuple[robot.RobotParams, Controller, Opti
     stages, options = VARIANTS[name][variant]
     landing, payload = STAGES[stages]
     params = robot.load(name)
-    gait = choices.make_gait(params, choices.own_gait(params), STEPS[name])
+    gait = choices.make_gait(params, defaults.own_gait(params), STEPS[name])
     controller = Controller(
         gait,
-        choices.stage_of("landing", landing, params, gait),
-        choices.stage_of("payload", payload, params, gait),
+        variants.stage_of("landing", landing, params, gait),
+        variants.stage_of("payload", payload, params, gait),
     )
-    return params, controller, choices.simulation_options(params, gait) if options == THESIS else Options()
+    return params, controller, defaults.simulation_options(params, gait) if options == THESIS else Options()
 
 
 def scenarios(job: Job) -> list[Scenario]:

@@ -14,7 +14,7 @@ import polars as pl
 
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
-from jaxbiped.commands import choices
+from jaxbiped.batch import defaults
 from jaxbiped.report import grids, overview, page, tables
 
 LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
@@ -36,9 +36,9 @@ def experiment() -> jb.batch.Experiment:
     }
     start = float(gait.params.T_ini)
     scenarios = jb.batch.grid(
-        load_kg=LOADS, load_time_s=[start + t for t in TIMES], friction=[choices.floor_friction(robot, gait)]
+        load_kg=LOADS, load_time_s=[start + t for t in TIMES], friction=[defaults.floor_friction(robot, gait)]
     )
-    return jb.batch.Experiment(robot, variants, scenarios, choices.simulation_options(robot, gait))
+    return jb.batch.Experiment(robot, variants, scenarios, defaults.simulation_options(robot, gait))
 
 
 def write_csv(walks: pl.DataFrame, start: float, file: Path) -> None:

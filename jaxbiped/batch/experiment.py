@@ -13,7 +13,7 @@ import polars as pl
 from jaxbiped.adapt import Controller, Outcome
 from jaxbiped.batch import inputs, records
 from jaxbiped.batch.columns import outcomes
-from jaxbiped.checked import Refusal, whole
+from jaxbiped.checked import Refusal, Word, refuse_unknown, whole
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
@@ -26,6 +26,8 @@ MAX_LANES = 128
 """Largest chunk where nobody says otherwise: more walks at once are no faster on a core."""
 LANE_STEP = 8
 """Chunks are a multiple of this, so that grids of nearly the same size share what was compiled."""
+PAGES = Word(("overview", "payload", "obstacles"), "what is drawn of the results, see `report.pages`")
+RULES = Word(("papers",), "success by elkahlout's rule where the weight changes suddenly, else by khadiv's")
 
 
 _KINDS = {"robot": RobotParams, "variants": Mapping, "scenarios": pl.DataFrame, "options": Options}
@@ -48,12 +50,16 @@ class Experiment:
     """One row for each scenario, see `inputs`; from `grid`, `draw` or by hand."""
     options: Options = field(default_factory=Options)
     """Of the simulation; noise and delay are switched on where a scenario has some."""
-    duration: float | None = None
-    """How long every walk is simulated [s]; None: as long as the variant needs, see `durations`."""
+    duration: float | Mapping[str, float] | None = None
+    """How long every walk is simulated [s], or those of each variant; None: as long as each needs, see `durations`."""
     seed: int | np.integer = 0
     """Of the sensors' noise."""
     batch: int | np.integer | None = None
     """Walks in a chunk; None: up to MAX_LANES."""
+    robot_file: str = ""
+    """File that the robot was read from; empty if it is a preset, or in no file. Only for experiment files."""
+    pages: tuple[str, ...] = ("overview",)
+    """Names of PAGES that `jaxbiped run` draws; they decide nothing else."""
 
     judge: InitVar[bool] = True
     """Whether obstacles that nobody can walk over are refused; not where an experiment was run before."""
@@ -74,8 +80,9 @@ class Experiment:
                 raise ValueError(
                     f"variants: got a {type(self.variants[name]).__name__} as '{name}', allowed: a Controller"
                 )
-        if self.duration is not None:
-            object.__setattr__(self, "duration", DURATION.check("duration", self.duration))
+        object.__setattr__(self, "duration", self._checked_duration())
+        for page in self.pages:
+            PAGES.check("pages", page)
         if self.batch is not None:
             object.__setattr__(self, "batch", whole("batch", self.batch, 1, MAX_BATCH))
         object.__setattr__(self, "seed", whole("seed", self.seed, 0, 2**31 - 1))
@@ -89,6 +96,17 @@ class Experiment:
             require_stable_dt(self.robot, self.options.dt, float(least), float(strongest))  # type: ignore[arg-type]
         for name, variant in self.variants.items() if judge else ():
             self._require_walkable(name, variant)
+
+    def _checked_duration(self) -> float | dict[str, float] | None:
+        """How long walks are simulated [s], every number within its range."""
+        given = self.duration
+        if given is None or not isinstance(given, Mapping):
+            return None if given is None else DURATION.check("duration", given)
+        refuse_unknown("duration.", given, self.variants)
+        missing = [name for name in self.variants if name not in given]
+        if missing:
+            raise ValueError(f"duration.{missing[0]}: missing, allowed: {DURATION.allowed}")
+        return {name: DURATION.check(f"duration.{name}", given[name]) for name in self.variants}
 
     def _require_walkable(self, name: str, variant: Controller) -> None:
         """Refuse obstacles that the swing foot runs into, or that it stands in at the start."""
@@ -134,6 +152,8 @@ class Experiment:
     @cached_property
     def durations(self) -> dict[str, float]:
         """How long every variant walks [s]: the plan, and a recovery for every change of weight."""
+        if isinstance(self.duration, Mapping):
+            return dict(self.duration)
         if self.duration is not None:
             return dict.fromkeys(self.variants, self.duration)
         changes = inputs.changes_of_weight(self.table)
@@ -206,16 +226,15 @@ class Experiment:
         """The experiment that was written as `resolved`, with its scenarios."""
         written = resolved["variants"] if "variants" in resolved else resolved["arms"]  # until format 2
         variants = {name: records.from_json(variant) for name, variant in written.items()}
-        made = cls(
+        return cls(
             records.from_json(resolved["robot"]),
             variants,
             scenarios,
             records.from_json(resolved["options"]),
+            duration=resolved["durations_s"],
             batch=resolved["lanes"],
             judge=False,
         )
-        made.__dict__["durations"] = dict(resolved["durations_s"])  # of a cached property: as they were
-        return made
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from tyro.conf import arg
 
 from jaxbiped import adapt, batch, kinematics, planner, robot, sim
 from jaxbiped.batch import records, store
+from jaxbiped.batch.defaults import clock_start
 from jaxbiped.batch.run import MAX_WORKERS
 from jaxbiped.commands import batches, obstacles, payload, replay, walk
-from jaxbiped.commands.choices import clock_start
 from jaxbiped.commands.common import (
     OVERWRITE_HELP,
     draw,

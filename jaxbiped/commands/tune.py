@@ -12,21 +12,18 @@ from tyro.conf import arg
 
 from jaxbiped import adapt, batch, files, sim, tune
 from jaxbiped.adapt import tunables
+from jaxbiped.adapt.variants import stage_of
 from jaxbiped.batch import Choice, Uniform
+from jaxbiped.batch.defaults import GAITS, clock_start, floor_friction, simulation_options
 from jaxbiped.checked import nearest
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
     ALLOW_HELP,
-    GAITS,
     MODIFIED,
     REPAIRED,
-    clock_start,
-    floor_friction,
     gait_name,
     load_variant,
     make_gait,
-    simulation_options,
-    stage_of,
     variant_tables,
 )
 from jaxbiped.commands.common import (

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 
 from jaxbiped import adapt, checked, robot, score, sim
+from jaxbiped.adapt.variants import stage_of
+from jaxbiped.batch.defaults import floor_friction, simulation_options
 from jaxbiped.commands.choices import (
     MODIFIED,
     OFF,
     ORIGINAL,
     PAPER,
     REPAIRED,
-    floor_friction,
     load_variant,
     make_gait,
-    simulation_options,
-    stage_of,
 )
 from jaxbiped.commands.choices import (
     gait_name as name_of_gait,

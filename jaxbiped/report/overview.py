@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from jaxbiped import robot
-from jaxbiped.batch import NEVER, Experiment, steps_of, summary
+from jaxbiped.batch import NEVER, Experiment, defaults, steps_of, summary
 from jaxbiped.planner import CosineGait
 from jaxbiped.report import grids, quantities, tables
 from jaxbiped.report.page import Picture, Section
@@ -67,8 +67,7 @@ def sections(
 
 def clock_start(experiment: Experiment) -> float:
     """When the clock of loading times starts, since the start of the walk [s]: T_ini for the cosine gait."""
-    gait = next(iter(experiment.variants.values())).gait
-    return float(gait.params.T_ini) if isinstance(gait, CosineGait) else 0.0
+    return defaults.clock_start(next(iter(experiment.variants.values())).gait)
 
 
 def varying(table: pl.DataFrame) -> list[str]:

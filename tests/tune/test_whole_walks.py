@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from problems import landing, payload
 
-from jaxbiped.commands.choices import THESIS_FRICTION
+from jaxbiped.batch.defaults import THESIS_FRICTION
 from jaxbiped.tune import central, forward
 
 MADE = {"surena3": landing, "elkahlout": partial(payload, friction=THESIS_FRICTION)}
