@@ -68,8 +68,8 @@ _BEFORE_0_2 = {
     "jaxbiped.adapt.controller:Controller": "controller",
     "jaxbiped.adapt.landing:LandingStage": "landing",
     "jaxbiped.adapt.landing:Landing": "landing_parameters",
-    "jaxbiped.adapt.reflex:PayloadStage": "payload_reflex",
-    "jaxbiped.adapt.reflex:PayloadReflex": "payload_reflex_parameters",
+    "jaxbiped.adapt.payload:PayloadStage": "payload_reflex",
+    "jaxbiped.adapt.payload:PayloadReflex": "payload_reflex_parameters",
     "jaxbiped.sim.rollout:Options": "options",
 }
 """Names in the files of version 0.1, which were places in its code."""
