@@ -74,7 +74,9 @@ def plan(
         Refusal: naming the argument, what was got and what is allowed.
     """
     kind = own_gait(params) if kind is None else checked.Word(tuple(GAITS)).check("gait", kind)
-    steps, made = checked.whole("steps", steps, 1, MAX_STEPS), GAITS[kind]
+    if not 1 <= steps <= MAX_STEPS:
+        raise Refusal(f"steps: got {steps}, allowed: 1 to {MAX_STEPS}")
+    made = GAITS[kind]
     try:
         chosen = gait_parameters(params, kind, numbers or {})
         known = planner.known_infeasible(made, params)
