@@ -271,6 +271,41 @@ def test_bad_keys_are_refused_before_anything_is_planned(tmp_path, monkeypatch):
             read(tmp_path, text)
 
 
+PROJECT = Path(__file__).parents[2]
+
+
+def examples(page: str) -> list[str]:
+    """The whole experiments that a page shows."""
+    blocks = re.findall(r"```toml\n(.*?)```", (PROJECT / page).read_text(encoding="utf-8"), re.DOTALL)
+    return [block for block in blocks if block.startswith("robot = ")]
+
+
+@pytest.mark.parametrize(("page", "walks"), [("docs/batch.md", 30), ("README.md", 20)])
+def test_the_examples_of_the_docs_are_read_and_planned(tmp_path, page, walks):
+    (example,) = examples(page)
+    assert batch.plan(read(tmp_path, example), tmp_path / "out").walks == walks
+
+
+def test_the_example_of_the_docs_says_everything_that_a_file_may(tmp_path):
+    (example,) = examples("docs/batch.md")
+    keys = {*experiment_file.OPTIONS, *experiment_file.WHOLE, *experiment_file.TABLES, "duration"} - {
+        "noise",
+        "delay_room",
+    }
+    assert {key for key in keys if key not in example} == set()
+    draw = re.findall(
+        r"```toml\n(\[scenarios.draw\].*?)```", (PROJECT / "docs/batch.md").read_text(), re.DOTALL
+    )[0]
+    assert read(tmp_path, SMALL.partition("[scenarios")[0].replace("2", "4") + draw).rows == 256
+
+
+def test_the_obstacles_sweep_is_a_file():
+    one = batch.read_experiment(PROJECT / "sweeps" / "obstacles.toml")
+    assert one.rows == 126 and list(one.variants) == ["off", "paper", "repaired"]
+    khadiv = one.table.row(-1, named=True)
+    assert [khadiv[f"step_{step}_height_m"] for step in (2, 4, 6)] == [0.03, 0.02, 0.04]
+
+
 # Writing ---------------------------------------------------------------------------------------------------------
 
 
