@@ -2,6 +2,7 @@
 
 import math
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,12 @@ import equinox as eqx
 import numpy as np
 import polars as pl
 import pytest
+import tomli_w
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from jaxbiped import adapt, batch, checked, cli, planner, robot, sim
+from jaxbiped.adapt import tunables
 from jaxbiped.batch import defaults, experiment_file, experiment_writer, inputs, part, store, workers
 
 QUICK_REFLEX = "[variants.tuned.payload]\nbase = 'modified'\nthreshold = 50\nzmp_balanced = -0.03\n"
@@ -160,7 +165,8 @@ def test_paths_are_relative_to_the_file(tmp_path, monkeypatch):
     text = SMALL.replace('"surena3"', '"robot.toml"').replace("steps = 2", "steps = 2\nfile = 'tuned.toml'")
     one = read(tmp_path, f"{text}[variants.tuned]\nfile = 'tuned.toml'\n")
     assert one.robot.name == "mine" and one.robot_file == str(tmp_path / "robot.toml")
-    assert float(one.variants["off"].gait.params.H_max) == pytest.approx(0.11)
+    gait: Any = one.variants["off"].gait
+    assert float(gait.params.H_max) == pytest.approx(0.11)
     assert one.variants["tuned"].stage("landing").params == adapt.Landing.paper()
     assert key(again(tmp_path, one)) == key(one)
 
@@ -271,6 +277,45 @@ def test_bad_keys_are_refused_before_anything_is_planned(tmp_path, monkeypatch):
             read(tmp_path, text)
 
 
+VALUES = (
+    st.floats()
+    | st.integers()
+    | st.booleans()
+    | st.sampled_from(["surena3", "paper", "grid", "cosine", "x.toml", "thesis", ""])
+    | st.lists(st.floats(0.0, 3.0) | st.integers() | st.text(max_size=3), max_size=3)
+    | st.dictionaries(
+        st.sampled_from(["from", "to", "step", "uniform", "choice", "normal"]), st.floats(), max_size=3
+    )
+)
+KEYS = st.sampled_from(
+    [
+        *("kind", "steps", "parameters", "file", "base", "landing", "off", "H_max", "x y"),
+        *("grid", "rows", "draw", "table", "clock", "n", "friction", "load_kg", "step_1_height_m"),
+        *("seed", "dt", "duration", "rule", "pages"),
+    ]
+)
+INNER = st.recursive(VALUES, lambda inner: st.dictionaries(KEYS, inner, max_size=3), max_leaves=6)
+CHANGES = st.lists(st.tuples(st.sampled_from(experiment_file.TABLES), KEYS, INNER), min_size=1, max_size=2)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(CHANGES, st.booleans())
+def test_any_file_is_read_or_refused(surena, tmp_path, monkeypatch, changes, whole):
+    monkeypatch.setattr(defaults, "plan", lambda *_, **__: surena[1])
+    data: Any = tomllib.loads(SMALL)
+    for table, key, value in changes:
+        if whole or not isinstance(data.setdefault(table, {}), dict):
+            data[table] = value
+        else:
+            data[table][key] = value
+    try:
+        one = read(tmp_path, tomli_w.dumps(data))
+    except checked.Refusal as error:
+        assert str(error).startswith("mine.toml: ") and str(error).isprintable()
+    else:
+        assert one.rows >= 1
+
+
 PROJECT = Path(__file__).parents[2]
 
 
@@ -359,9 +404,7 @@ ROUND_TRIPS = {
     "another gait in a variant": lambda s: {
         "variants": {
             "off": adapt.Controller(s[1]),
-            "tuned": adapt.Controller(
-                adapt.tunables.other_gait(*s, {"H_max": 0.11, "start_stop.v_last": 0.01})
-            ),
+            "tuned": adapt.Controller(tunables.other_gait(*s, {"H_max": 0.11, "start_stop.v_last": 0.01})),
         }
     },
     "the right foot first": lambda s: {
@@ -370,7 +413,7 @@ ROUND_TRIPS = {
     "a gait that breaks a constraint": lambda s: {
         "variants": {
             "off": adapt.Controller(
-                adapt.tunables.other_gait(*s, {"y_m": 0.01, "y_d": 0.06}, allow_infeasible=True)
+                tunables.other_gait(*s, {"y_m": 0.01, "y_d": 0.06}, allow_infeasible=True)
             )
         }
     },
@@ -465,6 +508,14 @@ def test_run_plans_runs_resumes_and_draws(quick, tmp_path, capsys):
     written(tmp_path, FILE.replace("seed = 3", "seed = 4"))
     assert cli.main(args) == cli.BAD_INPUT and "another experiment" in capsys.readouterr().err
     assert cli.main([*args, "--overwrite"]) == cli.OK
+
+
+def test_run_draws_obstacles_where_a_file_asks_for_them(quick, tmp_path, capsys):
+    (example,) = examples("docs/batch.md")
+    out = tmp_path / "out"
+    assert cli.main(["run", str(written(tmp_path, example)), "--out", str(out), "--workers", "1"]) == cli.OK
+    assert "2 of 2 pages and figures" in capsys.readouterr().out
+    assert {"obstacles.png", "report.html"} <= {f.name for f in out.iterdir()}
 
 
 @pytest.mark.parametrize(
