@@ -404,7 +404,9 @@ ROUND_TRIPS = {
     "another gait in a variant": lambda s: {
         "variants": {
             "off": adapt.Controller(s[1]),
-            "tuned": adapt.Controller(tunables.other_gait(*s, {"H_max": 0.11, "start_stop.v_last": 0.01})),
+            "tuned": adapt.Controller(
+                tunables.other_gait(s[0], s[1], {"H_max": 0.11, "start_stop.v_last": 0.01})
+            ),
         }
     },
     "the right foot first": lambda s: {
@@ -413,7 +415,7 @@ ROUND_TRIPS = {
     "a gait that breaks a constraint": lambda s: {
         "variants": {
             "off": adapt.Controller(
-                tunables.other_gait(*s, {"y_m": 0.01, "y_d": 0.06}, allow_infeasible=True)
+                tunables.other_gait(s[0], s[1], {"y_m": 0.01, "y_d": 0.06}, allow_infeasible=True)
             )
         }
     },
