@@ -38,7 +38,7 @@ def problem(count: int, lanes: int, duration: float) -> Problem:
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
     variant = jb.adapt.Controller(gait, jb.adapt.PayloadReflex.modified(robot, gait))
-    options = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
+    options = jb.sim.own_options(robot, gait)
     scenarios = jb.batch.draw(
         lanes, 1, load_kg=jb.batch.Uniform(2.0, 12.0), load_time_s=jb.batch.Uniform(1.5, 3.0)
     )

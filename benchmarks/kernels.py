@@ -271,10 +271,9 @@ def gait_rates(batches: tuple[int, ...], repeats: int) -> dict[str, dict[str, fl
 
 def nominal_gaits() -> list[tuple[str, Any, robot.RobotParams]]:
     """Both papers' gaits with their robots."""
-    return [
-        ("surena3, polynomial", planner.PolynomialGait, robot.load("surena3")),
-        ("elkahlout, cosine", planner.CosineGait, robot.load("elkahlout")),
-    ]
+    robots = [robot.load(name) for name in ("surena3", "elkahlout")]
+    names = [planner.own_gait_name(params) for params in robots]
+    return [(f"{r.name}, {name}", planner.GAITS[name], r) for r, name in zip(robots, names, strict=True)]
 
 
 def targets_at(_: robot.RobotParams, gait: Any, t: Any) -> planner.Targets:
@@ -293,12 +292,11 @@ def compilations(targets: Targets, n_steps: int) -> dict[str, int]:
     counts = {}
     scales = 1.0 + 0.001 * np.arange(PARAMETER_SETS)
     for name, kind, params in nominal_gaits():
-        of_preset = planner.polynomial_params if kind is planner.PolynomialGait else planner.cosine_params
 
         def plan_and_follow(r: Any, p: Any, t: Any, kind: Any = kind) -> Any:
             return angles_at(r, kind.make(r, p, n_steps), t)
 
-        inputs = [scaled((params, of_preset(params.name), jnp.ones(())), s) for s in scales]
+        inputs = [scaled((params, kind.preset_params(params), jnp.ones(())), s) for s in scales]
         counts[f"{name}: plan, targets, joint angles"] = compile_count(jax.jit(plan_and_follow), inputs)
     params = robot.load("surena3")
     p, rot = targets.p.astype(np.float32), targets.rot.astype(np.float32)

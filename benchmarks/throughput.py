@@ -41,8 +41,6 @@ from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
 
 DT = 5e-4
-CONTROL_EVERY = {"elkahlout": 1, "surena3": 4}
-"""Physics ticks in a control tick."""
 N_STEPS = 8
 EXPECTED = {"c_mujoco_per_core": 1.5, "python_loop": 20.0, "mjx_contacts_per_core": 5.0}
 """What the closed loop is expected to be worth, times each peer."""
@@ -85,7 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="tiny sizes: does it run at all?")
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
-    parser.add_argument("--robot", choices=list(CONTROL_EVERY), default="elkahlout", help="preset")
+    parser.add_argument("--robot", choices=robot.presets(), default="elkahlout", help="preset")
     parser.add_argument("--worker", choices=list(WORKERS), help=argparse.SUPPRESS)
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="what is measured")
     parser.add_argument("--batch", type=int, default=0, help=argparse.SUPPRESS)
@@ -122,7 +120,7 @@ def measure(name: str, size: Size, quick: bool) -> dict[str, Any]:
         "robot": name,
         "dt": DT,
         "clock": size.clock,
-        "control_every": CONTROL_EVERY[name],
+        "control_every": control_every(name),
         "closed_loop_per_core": ours[best]["steps_per_s"],
         "best_batch": int(best),
         "c_mujoco_per_core": c_steps["steps_per_s"],
@@ -158,12 +156,17 @@ class Setup(NamedTuple):
     """All of them, ready to walk."""
 
 
+def control_every(name: str) -> int:
+    """Physics ticks in a control tick."""
+    params = robot.load(name)
+    return sim.own_options(params, planner.own_gait(params, 1)).control_every
+
+
 def setup(name: str) -> Setup:
     """The robot and its gait."""
     params = robot.load(name)
-    kind = planner.PolynomialGait if name == "surena3" else planner.CosineGait
-    gait = kind.preset(params, N_STEPS)
-    options = sim.Options(dt=DT, control_every=CONTROL_EVERY[name])
+    gait = planner.own_gait(params, N_STEPS)
+    options = sim.Options(dt=DT, control_every=control_every(name))
     return Setup(params, gait, options, sim.prepare(params, Controller(gait), options))
 
 
@@ -233,7 +236,7 @@ class NumpyController:
 
     def __init__(self, one: Setup) -> None:
         self.gait = jax.tree.map(lambda leaf: np.asarray(leaf, float), one.gait)
-        self.cosine = isinstance(one.gait, planner.CosineGait)
+        self.cosine = one.gait.name == "cosine"
         self.timing = jax.tree.map(float, self.gait.timing)
         self.robot = jax.tree.map(lambda leaf: np.asarray(leaf, float), one.params)
         self.torque = np.asarray(one.simulation.torque.torque, float)
@@ -358,7 +361,7 @@ def trunk_height(position: np.ndarray) -> float:
 def c_rollout(name: str, size: Size) -> tuple[Native, Callable[[], Any], int]:
     """A C MuJoCo walk: the robot, a call that runs it, and its number of steps."""
     one, ticks = native(name, size.c_seconds), round(size.c_seconds / DT)
-    control = controls(one, ticks, CONTROL_EVERY[name])[None]
+    control = controls(one, ticks, control_every(name))[None]
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     start = np.zeros((1, mujoco.mj_stateSize(one.model, kind)))
     mujoco.mj_getState(one.model, one.data, start[0], kind)
@@ -369,7 +372,7 @@ def c_rollout(name: str, size: Size) -> tuple[Native, Callable[[], Any], int]:
 
 def python_loop(name: str, size: Size) -> dict[str, float]:
     """Rate of a loop of controller and `mj_step`; half the length of the C walk at most."""
-    one, every = native(name, size.c_seconds), CONTROL_EVERY[name]
+    one, every = native(name, size.c_seconds), control_every(name)
     start, ticks = one.data.qpos.copy(), round(0.5 * size.c_seconds / DT)
 
     def run() -> None:
@@ -408,7 +411,7 @@ def mjx_contacts(name: str, n: int, size: Size) -> dict[str, float]:
     """Rate of `mjx.step` with native contacts, on commands computed beforehand."""
     one = native(name, 1.0)
     model, ticks = mjx.put_model(one.model), size.mjx_ticks
-    control = jnp.asarray(controls(one, ticks, CONTROL_EVERY[name]), jnp.float32)
+    control = jnp.asarray(controls(one, ticks, control_every(name)), jnp.float32)
     height = jnp.asarray(one.data.qpos[2] - 1e-5 * np.arange(n), jnp.float32)
 
     def run(model: Any, height: Any, qpos: Any, control: Any) -> Any:

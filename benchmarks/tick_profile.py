@@ -22,7 +22,7 @@ import jax.numpy as jnp  # noqa: E402
 from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
 from jaxbiped.sim import ground, mjx_adapter, plant, statistics  # noqa: E402
-from jaxbiped.sim.simulation import servo_reference  # noqa: E402
+from jaxbiped.sim.tick import servo_reference  # noqa: E402
 
 DT = 5e-4
 REPEATS = 9
@@ -31,7 +31,7 @@ REPEATS = 9
 def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
     """Functions of one lane and their batched arguments, by name; `tick` is all of them together."""
     params = robot.load(name)
-    gait = {"surena3": planner.PolynomialGait, "elkahlout": planner.CosineGait}[name].preset(params, 4)
+    gait = planner.own_gait(params, 4)
     options = sim.Options(dt=DT)
     simulation = sim.prepare(params, Controller(gait), options)
     table = simulation.torque
@@ -93,7 +93,7 @@ def microseconds(function: Any, arguments: tuple, options: dict[str, Any]) -> tu
 def main() -> None:
     """Time every piece and print one line each."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--robot", choices=("elkahlout", "surena3"), default="elkahlout")
+    parser.add_argument("--robot", choices=robot.presets(), default="elkahlout")
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
     options = parser.parse_args()

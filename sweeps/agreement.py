@@ -40,9 +40,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxbiped
-from jaxbiped import checked, files, robot, runtime
+from jaxbiped import checked, files, planner, robot, runtime
 from jaxbiped.adapt import Controller, variants
-from jaxbiped.batch import defaults
 from jaxbiped.batch.summary import wilson
 from jaxbiped.checked import Quantity, Refusal
 from jaxbiped.commands import choices
@@ -51,6 +50,7 @@ from jaxbiped.sim import (
     Options,
     Scenario,
     Walk,
+    own_options,
     prepare,
     require_clear_start,
     require_swing_clears,
@@ -267,13 +267,13 @@ def set_up(name: str, variant: str) -> tuple[robot.RobotParams, Controller, Opti
     stages, options = VARIANTS[name][variant]
     landing, payload = STAGES[stages]
     params = robot.load(name)
-    gait = choices.make_gait(params, defaults.own_gait(params), STEPS[name])
+    gait = planner.own_gait(params, STEPS[name])
     controller = Controller(
         gait,
         variants.stage_of("landing", landing, params, gait),
         variants.stage_of("payload", payload, params, gait),
     )
-    return params, controller, defaults.simulation_options(params, gait) if options == THESIS else Options()
+    return params, controller, own_options(params, gait) if options == THESIS else Options()
 
 
 def scenarios(job: Job) -> list[Scenario]:

@@ -13,7 +13,7 @@ import argparse
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ class Walker:
         gait = jb.planner.CosineGait.preset(robot, STEPS)
         reflex = None if name == "off" else getattr(PayloadReflex, name)(robot, gait)
         controller = Controller(gait, reflex)
-        options = jb.sim.Options(dt=dt, feed_forward=False, control_every=1, payload_model="thesis")
+        options = replace(jb.sim.own_options(robot, gait), dt=dt)
         simulation = jb.sim.prepare(robot, controller, options)
         ticks = simulation.ticks(watch_time(controller, 1))
 
@@ -70,7 +70,7 @@ class Walker:
             world = eqx.tree_at(
                 lambda s: (s.ground.friction, s.payload.mass, s.payload.time),
                 jb.sim.Scenario.flat(1),
-                (friction, load, at + gait.params.T_ini),
+                (friction, load, at + gait.clock_start),
             )
             own = eqx.tree_at(lambda r: r.p_sole_corner, robot, corners)
             walk = eqx.tree_at(lambda s: s.robot, simulation, own).walk(world, ticks)

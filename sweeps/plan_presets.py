@@ -22,7 +22,7 @@ from scipy.optimize import linprog
 
 import jaxbiped as jb
 from jaxbiped.adapt.tunables import other_gait
-from jaxbiped.planner import CosineGait, PolynomialGait, known_infeasible
+from jaxbiped.planner import GAITS, CosineGait, PolynomialGait, known_infeasible
 
 SAMPLES = 600
 """Instants of a walk that are looked at."""
@@ -182,12 +182,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--robot", choices=jb.robot.presets(), help="only this robot")
-    parser.add_argument("--gait", choices=("polynomial", "cosine"), help="only this gait")
+    parser.add_argument("--gait", choices=list(GAITS), help="only this gait")
     parser.add_argument("--steps", type=int, default=80, help="of the optimization, at most; 0: none")
     arguments = parser.parse_args()
-    kinds = {"polynomial": PolynomialGait, "cosine": CosineGait}
     for case in CASES:
-        if arguments.robot in (None, case.robot) and kinds.get(arguments.gait, case.kind) is case.kind:
+        if arguments.robot in (None, case.robot) and arguments.gait in (None, case.kind.name):
             print(case.title, flush=True)
             gait = case.kind.preset(jb.robot.load(case.robot), case.walk, allow_infeasible=True)
             tell(case, gait, arguments.steps)

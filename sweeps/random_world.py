@@ -30,8 +30,7 @@ LOADS = {"surena3": 10.0, "elkahlout": 15.0}
 def experiment(name: str, n: int, seed: int, duration: float | None) -> jb.batch.Experiment:
     """One robot, without and with both stages of adaptation."""
     robot = jb.robot.load(name)
-    make = jb.planner.CosineGait if name == "elkahlout" else jb.planner.PolynomialGait
-    gait = make.preset(robot, STEPS[name])
+    gait = jb.planner.own_gait(robot, STEPS[name])
     walk = float(gait.duration)
     pads: dict[str, Any] = {height_column(step): Choice(HEIGHTS[name]) for step in PADS[name]}
     scenarios = jb.batch.draw(

@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, Landing, PayloadReflex
-from jaxbiped.batch import Choice, Uniform, defaults
+from jaxbiped.batch import Choice, Uniform
 from jaxbiped.tune import Problem, central, forward
 
 SINGLE = ("landing.T_mod", "landing.descent_speed", "gait.H_max")
@@ -41,7 +41,6 @@ REFLEX = (
     "payload.threshold",
     "payload.x_ref_gain",
 )
-THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
 
 
 def problem(variant: str, n: int, duration: float) -> Problem:
@@ -57,9 +56,9 @@ def problem(variant: str, n: int, duration: float) -> Problem:
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, 6)
     controller = Controller(gait, getattr(PayloadReflex, variant)(robot, gait))
-    grip = defaults.floor_friction(robot, gait)
+    options, grip = jb.sim.own_options(robot, gait), jb.sim.own_friction(robot, gait)
     scenarios = jb.batch.draw(n, 1, load_kg=Uniform(3.0, 8.0), load_time_s=Uniform(1.5, 3.5), friction=grip)
-    experiment = jb.batch.Experiment(robot, {variant: controller}, scenarios, THESIS, duration=duration)
+    experiment = jb.batch.Experiment(robot, {variant: controller}, scenarios, options, duration=duration)
     return Problem.of(experiment, REFLEX)
 
 

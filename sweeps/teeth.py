@@ -29,7 +29,6 @@ LANDINGS: dict[str, dict[str, Any]] = {
     "paper, interpolated": {"interpolate": True},
     "repaired": {},
 }
-THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
 SHORT = {"settling_time": 0.8, "shift_time": 0.3}
 """Of the payload variants [s]: what is read and shifted afterwards is to be seen within the walk."""
 LOAD, LOAD_TIME = 6.0, 2.4
@@ -49,7 +48,7 @@ def payload(variant: str, names: Any = ("payload",)) -> Problem:
         robot,
         {variant: Controller(gait, reflex)},
         jb.batch.grid(load_kg=(LOAD,), load_time_s=(LOAD_TIME,)),
-        THESIS,
+        jb.sim.own_options(robot, gait),
         duration=4.2 if base != "repaired" else 5.0,
     )
     return Problem.of(experiment, names)

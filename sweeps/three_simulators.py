@@ -18,17 +18,15 @@ import jaxbiped as jb
 from jaxbiped import report
 
 TRACE_DT = 0.01
-WALKS = {
-    "surena3": (jb.planner.PolynomialGait, 24, jb.sim.Options(feed_forward=True, control_every=4)),
-    "elkahlout": (jb.planner.CosineGait, 12, jb.sim.Options(feed_forward=False, control_every=1)),
-}
+WALKS = {"surena3": 24, "elkahlout": 12}
+"""Steps of each robot's own gait."""
 
 
 def simulate(name: str, steps: int | None, mjx_seconds: float) -> tuple[dict[str, jb.sim.Walk], Any, Any]:
     """The walks by simulator, the robot and the gait; on MJX contacts the first `mjx_seconds` [s] only."""
-    gait_type, preset_steps, options = WALKS[name]
     robot = jb.robot.load(name)
-    gait = gait_type.preset(robot, steps or preset_steps)
+    gait = jb.planner.own_gait(robot, steps or WALKS[name])
+    options = replace(jb.sim.own_options(robot, gait), payload_model="exact")  # nothing is carried
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     controller, flat = jb.adapt.Controller(gait), jb.sim.Scenario.flat(rectangles=1)
     duration = float(gait.duration) + 1.0

@@ -61,7 +61,6 @@ TIMES = tuple(round(0.1 * i, 1) for i in range(1, 49))
 """The thesis' time [s]."""
 GRIDS = {"the thesis' grid": (2.5, 5.0, 7.5, 10.0, 12.5, 15.0), "heavier": (17.5, 20.0, 22.5, 25.0)}
 """[kg]"""
-OPTIONS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
 MEANS = (pl.col("peak_pitch_deg"), pl.col("peak_roll_deg"), pl.col("end_time_s"))
 
 
@@ -81,11 +80,12 @@ def to_tune_on(
         n,
         seed,
         load_kg=Uniform(1.0, 18.0),
-        load_time_s=Uniform(float(gait.params.T_ini) + 0.05, last),
+        load_time_s=Uniform(float(gait.clock_start) + 0.05, last),
         friction=Uniform(0.6, 1.0),
         trunk_mass_scale=Uniform(0.96, 1.04),
     )
-    return jb.batch.Experiment(robot, {"variant": variant}, scenarios, OPTIONS, duration=duration)
+    options = jb.sim.own_options(robot, gait)
+    return jb.batch.Experiment(robot, {"variant": variant}, scenarios, options, duration=duration)
 
 
 def to_try_on(start: float) -> dict[str, pl.DataFrame]:
@@ -150,9 +150,10 @@ def main() -> None:
         file = tune_from(name, robot, short[name], arguments)
         variants[f"tuned_{name}"] = load_variant("--start", file, robot, variants[name].gait)
     pairs = [(f"tuned_{name}", name) for name in arguments.start]
-    start = float(variants[arguments.start[0]].gait.params.T_ini)
+    gait = variants[arguments.start[0]].gait
+    start, options = float(gait.clock_start), jb.sim.own_options(robot, gait)
     for number, (what, scenarios) in enumerate(to_try_on(start).items()):
-        one = jb.batch.Experiment(robot, variants, scenarios, OPTIONS)
+        one = jb.batch.Experiment(robot, variants, scenarios, options)
         out = arguments.out / f"tried_{number}"
         table = tuned.try_variants(what, one, out, arguments.workers, pairs, MEANS)
         if what in GRIDS:
@@ -163,7 +164,7 @@ def main() -> None:
             print(summary_by_load(table))
     for name in arguments.start:
         grid = jb.batch.grid(load_kg=10.0, load_time_s=[start + t for t in TIMES])
-        one = jb.batch.Experiment(robot, {name: variants[name]}, grid, OPTIONS, duration=ROUNDS[0].horizon)
+        one = jb.batch.Experiment(robot, {name: variants[name]}, grid, options, duration=ROUNDS[0].horizon)
         title, file = f"elkahlout, variant {name}, 10 kg", arguments.out / f"sensitivity_{name}.png"
         tuned.sensitivity(
             Problem.of(one, REFLEX), np.array(TIMES), "the thesis' time of the load [s]", title, file

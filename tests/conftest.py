@@ -45,7 +45,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Chunks are made up instead of simulated in this process; the numbers of those that were."""
     numbers: list[int] = []
 
-    def walk(one, chunk):
+    def walk(one, chunk, told=None):
         numbers.append(chunk.number)
         return walk_chunk(one, chunk)
 

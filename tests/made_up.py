@@ -6,7 +6,7 @@ import polars as pl
 from jaxbiped.batch import columns, part
 
 
-def walk_chunk(one, chunk):
+def walk_chunk(one, chunk, told=None):
     """Loads of 10 kg and more fall, 15 kg late; obstacles over 4 cm fall; all else succeeds."""
     inputs = one.table[chunk.start : chunk.stop]
     load, n = inputs["load_kg"].to_numpy(), inputs.height

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxbiped.adapt.sensed import Sensed
 from jaxbiped.adapt.stage import PlannedStage, Signals, Stage
-from jaxbiped.planner import CosineGait, PolynomialGait, Targets, at
+from jaxbiped.planner import Gait, Targets, at
 
 
 class ControllerState(eqx.Module):
@@ -30,12 +30,12 @@ class ControllerState(eqx.Module):
 class Controller(eqx.Module):
     """A gait and the stages that adapt it online; without stages it walks open loop."""
 
-    gait: PolynomialGait | CosineGait
+    gait: Gait
     """The planned walk."""
     stages: tuple[PlannedStage, ...]
     """In the order in which they act: first those that decide which step is made."""
 
-    def __init__(self, gait: PolynomialGait | CosineGait, *stages: Stage | None):
+    def __init__(self, gait: Gait, *stages: Stage | None):
         """Plan the stages for the gait.
 
         Args:

@@ -25,7 +25,9 @@ MAX_BATCH = 65536
 MAX_LANES = 128
 """Largest chunk where nobody says otherwise: more walks at once are no faster on a core."""
 LANE_STEP = 8
-"""Chunks are a multiple of this, so that grids of nearly the same size share what was compiled."""
+"""Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""
+MAX_TURNS, MIN_CHUNKS = 4, 8
+"""How many scenarios a lane of a chunk takes one after the other, if so many chunks are left for every variant."""
 PAGES = Word(("overview", "payload", "obstacles"), "what is drawn of the results, see `report.pages`")
 RULES = Word(("papers",), "success by elkahlout's rule where the weight changes suddenly, else by khadiv's")
 
@@ -55,7 +57,7 @@ class Experiment:
     seed: int | np.integer = 0
     """Of the sensors' noise."""
     batch: int | np.integer | None = None
-    """Walks in a chunk; None: up to MAX_LANES."""
+    """Walks at once; None: up to MAX_LANES."""
     robot_file: str = ""
     """File that the robot was read from; empty if it is a preset, or in no file. Only for experiment files."""
     pages: tuple[str, ...] = ("overview",)
@@ -169,7 +171,7 @@ class Experiment:
 
     @cached_property
     def lanes(self) -> int:
-        """Walks in a chunk, the last one padded: it depends on the experiment only, never on the workers.
+        """Walks at once in a chunk, the last one padded: it depends on the experiment only, never on the workers.
 
         Never more than there are scenarios.
         """
@@ -180,12 +182,17 @@ class Experiment:
         return min(-(-n // (chunks * LANE_STEP)) * LANE_STEP, n)
 
     @cached_property
+    def chunk_rows(self) -> int:
+        """Scenarios in a chunk: several times as many as lanes where there are very many."""
+        return self.lanes * max(1, min(MAX_TURNS, self.table.height // (MIN_CHUNKS * self.lanes)))
+
+    @cached_property
     def chunks(self) -> list["Chunk"]:
         """All chunks, in the order of the table's rows."""
         n, found = self.table.height, []
         for index, variant in enumerate(self.variants):
-            for start in range(0, n, self.lanes):
-                stop = min(start + self.lanes, n)
+            for start in range(0, n, self.chunk_rows):
+                stop = min(start + self.chunk_rows, n)
                 found.append(Chunk(len(found), variant, start, stop, index * n))
         return found
 
@@ -214,6 +221,7 @@ class Experiment:
             "options": records.to_json(self.simulation),
             "durations_s": self.durations,
             "lanes": self.lanes,
+            "chunk_rows": self.chunk_rows,
             "scenarios": {
                 "rows": self.table.height,
                 "columns": self.table.columns,
@@ -226,7 +234,7 @@ class Experiment:
         """The experiment that was written as `resolved`, with its scenarios."""
         written = resolved["variants"] if "variants" in resolved else resolved["arms"]  # until format 2
         variants = {name: records.from_json(variant) for name, variant in written.items()}
-        return cls(
+        made = cls(
             records.from_json(resolved["robot"]),
             variants,
             scenarios,
@@ -235,6 +243,9 @@ class Experiment:
             batch=resolved["lanes"],
             judge=False,
         )
+        # A cached property, as it was: until format 2 a chunk had as many rows as lanes.
+        made.__dict__["chunk_rows"] = resolved.get("chunk_rows", resolved["lanes"])
+        return made
 
 
 @dataclass(frozen=True)

@@ -41,9 +41,10 @@ from jaxbiped.batch import defaults, inputs
 from jaxbiped.batch.draws import MAX_ROWS, Choice, Normal, Uniform, draw, grid
 from jaxbiped.batch.experiment import MAX_BATCH, PAGES, RULES, Experiment
 from jaxbiped.checked import Field, Flag, Quantity, Refusal, Word
+from jaxbiped.planner import GAITS
 from jaxbiped.planner.constraints import OR_ALLOW
 from jaxbiped.robot import SIDE_NAMES
-from jaxbiped.sim import Options
+from jaxbiped.sim import Options, own_options
 from jaxbiped.sim.options import CONTACTS, DURATION, MAX_TICKS
 from jaxbiped.sim.plant import PAYLOAD_MODELS
 
@@ -113,8 +114,8 @@ def _read(data: Table, folder: Path) -> Experiment:
     return Experiment(
         robot,
         {name: _controller(name, table, robot, gait) for name, table in tables.items()},
-        scenarios if clock == "walk" else _on_walk_clock(scenarios, defaults.clock_start(gait)),
-        _options(defaults.simulation_options(robot, gait), simulation),
+        scenarios if clock == "walk" else _on_walk_clock(scenarios, float(gait.clock_start)),
+        _options(own_options(robot, gait), simulation),
         **{key: simulation[key] for key in ("duration", "seed", "batch") if key in simulation},
         robot_file=file,
         pages=pages,
@@ -133,7 +134,8 @@ def _gait(table: Table, robot: Any, folder: Path) -> Callable[[], Any]:
     checked.refuse_unknown(
         "gait.", table, ("kind", "steps", "first_swing", "file", "parameters", "allow_infeasible")
     )
-    kind = Word(tuple(defaults.GAITS)).check("gait.kind", table.get("kind", defaults.own_gait(robot)))
+    kind = table["kind"] if "kind" in table else defaults.own_kind(robot)
+    kind = Word(tuple(GAITS)).check("gait.kind", kind)
     steps = checked.whole("gait.steps", table.get("steps", 8), 1, defaults.MAX_STEPS)
     first = Word(SIDE_NAMES).check("gait.first_swing", table.get("first_swing", SIDE_NAMES[0]))
     allow = variants.ALLOW.check("gait.allow_infeasible", table.get("allow_infeasible", False))
@@ -143,7 +145,7 @@ def _gait(table: Table, robot: Any, folder: Path) -> Callable[[], Any]:
     if "file" in table:
         given = dict(_gait_file(_path("gait.file", table["file"], folder)))
         allow = given.pop(variants.ALLOW_KEY, False) or allow
-    quantities = defaults.GAITS[kind].quantities
+    quantities = GAITS[kind].quantities
     given = variants.flat(_table("gait.parameters", given))
     numbers = checked.read_table("gait.parameters", given, quantities)
 

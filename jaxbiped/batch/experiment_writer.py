@@ -15,6 +15,7 @@ from jaxbiped.batch.draws import grid
 from jaxbiped.batch.experiment import RULES, Experiment
 from jaxbiped.batch.experiment_file import INCOMPLETE
 from jaxbiped.checked import Refusal
+from jaxbiped.planner import GAITS
 from jaxbiped.robot import SIDE_NAMES
 
 SCENARIOS = "scenarios.parquet"
@@ -74,7 +75,7 @@ def _gait(experiment: Experiment, lacking: list[str]) -> dict[str, Any]:
     kind = defaults.kind_of(gait)
     try:
         if kind is None:
-            raise Refusal(f"a {type(gait).__name__} is none of {', '.join(defaults.GAITS)}")
+            raise Refusal(f"a {type(gait).__name__} is none of {', '.join(GAITS)}")
         numbers = variants.gait_numbers(gait)
         again = defaults.plan(
             experiment.robot,

@@ -1,6 +1,6 @@
 """One chunk of walks: from scenarios to rows of the results table."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import jax
 import jax.numpy as jnp
@@ -20,17 +20,25 @@ from jaxbiped.sim import Scenario, Walk
 Columns = dict[str, Array]
 
 
-def walk_chunk(experiment: Experiment, chunk: Chunk) -> pl.DataFrame:
-    """Walk a chunk in this process; rows of the results table."""
-    rows = np.minimum(np.arange(chunk.start, chunk.start + experiment.lanes), chunk.stop - 1)
+def walk_chunk(
+    experiment: Experiment, chunk: Chunk, told: Callable[[float], None] | None = None
+) -> pl.DataFrame:
+    """Walk a chunk in this process; rows of the results table.
+
+    Args:
+        experiment: whose chunk.
+        chunk: which one.
+        told: is told from time to time which fraction of it is done.
+    """
+    n = chunk.stop - chunk.start
+    rows = np.minimum(chunk.start + np.arange(max(n, experiment.lanes)), chunk.stop - 1)
     table = experiment.table[rows.tolist()]
     batch = inputs.scenarios_of(table, experiment.pads)
     simulation = sim.prepare(
         experiment.robot, experiment.variants[chunk.variant], experiment.simulation, sim.rectangles_of(batch)
     )
-    walks = simulation.run_many(batch, experiment.durations[chunk.variant])
+    walks = simulation.run_many(batch, experiment.durations[chunk.variant], told, experiment.lanes)
     outcome = _outcomes(walks, simulation.controller, batch)
-    n = chunk.stop - chunk.start
     outcome = {name: np.asarray(column)[:n] for name, column in outcome.items()}
     return pl.concat(
         [_identity(chunk), table[:n], outcome_frame(outcome, experiment.outcomes)], how="horizontal"

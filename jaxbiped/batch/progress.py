@@ -31,6 +31,8 @@ class Progress:
     """Walks a second in this run; None until a chunk is finished."""
     seconds_left: float | None
     """Estimate [s]; None until a chunk is finished."""
+    under_way: float = 0.0
+    """What is done of the chunks that are being walked, in whole walks."""
 
 
 def show(stream: Any = None) -> "Shown":
@@ -63,10 +65,11 @@ class Shown:
         p = self._last
         assert p is not None
         passed = time.monotonic() - self._at
-        filled = round(BAR * p.done / max(p.total, 1))
+        filled = round(BAR * (p.done + p.under_way) / max(p.total, 1))
         bar = f"[{'#' * filled}{'.' * (BAR - filled)}] {p.done} of {p.total} walks"
         if p.rate is None or p.seconds_left is None:
-            return f"{bar}, compiling and simulating the first chunk for {duration(p.seconds + passed)}"
+            of_first = f", {p.under_way:.0f} walks' worth done" if p.under_way else ""
+            return f"{bar}, compiling and simulating the first chunk for {duration(p.seconds + passed)}{of_first}"
         left = f", about {duration(max(0.0, p.seconds_left - passed))} left" if p.done < p.total else ""
         return f"{bar}, {p.failed} failed, {p.rate:.3g} a second{left}"
 

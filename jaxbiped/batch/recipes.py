@@ -7,6 +7,7 @@ from typing import Any
 
 import polars as pl
 
+from jaxbiped import sim
 from jaxbiped.adapt import STAGES, Controller
 from jaxbiped.adapt import variants as files_of_variants
 from jaxbiped.batch import defaults
@@ -48,7 +49,7 @@ def payload(
         gait: name of the gait; None for that of the robot's own paper.
         variants: of the payload reflex, by name (`off` and those of `adapt.PayloadReflex`) or by a file (.toml).
         loads: masses [kg].
-        times: when a load is put on [s], on the gait's own clock, see `defaults.clock_start`.
+        times: when a load is put on [s], on the gait's own clock, see its `clock_start`.
         friction: of the floor; None for that of the thesis' experiments on the thesis' own walk, else 0.8.
         steps: of the walk; None for enough to complete two after the last recovery.
         allow_infeasible: whether the plan may break a constraint.
@@ -64,11 +65,11 @@ def payload(
     if steps is None:
         steps = _steps_until(max(times), defaults.plan(params, gait, 1, allow_infeasible=True))
     planned = defaults.plan(params, gait, steps, allow_infeasible=allow_infeasible)
-    start = defaults.clock_start(planned)
+    start = float(planned.clock_start)
     if max(times) + start > float(planned.duration):
         latest = float(planned.duration) - start
         raise Refusal(f"times: got {max(times):g} s, allowed: up to {latest:.4g} s with {steps} steps")
-    friction = defaults.floor_friction(params, planned) if friction is None else friction
+    friction = sim.own_friction(params, planned) if friction is None else friction
     (friction,) = numbers("friction", (friction,), "", RANGES["friction"].low, RANGES["friction"].high)
     scenarios = grid(load_kg=loads, load_time_s=[start + time for time in times], friction=[friction])
     return _experiment(params, file, planned, "payload", variants, scenarios, allow_infeasible, seed, batch)
@@ -164,7 +165,7 @@ def _from_file(name: str, params: RobotParams, gait: Any, allow_infeasible: bool
 
 def _steps_until(time: float, gait: Any) -> int:
     """Steps of a walk that is to be completed after a load at this time on the gait's own clock [s]."""
-    since_liftoff = time + defaults.clock_start(gait) - float(gait.timing.first_liftoff)
+    since_liftoff = time + float(gait.clock_start) - float(gait.timing.first_liftoff)
     return max(0, math.floor(since_liftoff / float(gait.timing.T_c))) + 1 + STEPS_AFTER
 
 
@@ -183,7 +184,7 @@ def _experiment(
         params,
         controllers(names, stage, params, gait, allow_infeasible),
         scenarios,
-        defaults.simulation_options(params, gait),
+        sim.own_options(params, gait),
         seed=seed,
         batch=batch,
         robot_file=file,

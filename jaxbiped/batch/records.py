@@ -25,11 +25,6 @@ RECORDS: dict[str, type[eqx.Module]] = {
     "robot": robot.RobotParams,
     "links": robot.Links,
     "servo": robot.Servo,
-    "polynomial_gait": planner.PolynomialGait,
-    "polynomial_gait_parameters": planner.PolynomialParams,
-    "polynomial_gait_start_stop": planner.StartStop,
-    "cosine_gait": planner.CosineGait,
-    "cosine_gait_parameters": planner.CosineParams,
     "polynomial": Polynomial,
     "piecewise_polynomial": PiecewisePolynomial,
     "phase": Phase,
@@ -43,14 +38,28 @@ RECORDS: dict[str, type[eqx.Module]] = {
     "model_errors": scenario.ModelErrors,
     "sensor_faults": scenario.SensorFaults,
 }
-"""What records are called in files, but for those of stages. A name that was ever written stays here for good."""
+"""What records are called in files, but for those of gaits and stages. A name that was ever written stays for good."""
 
 
 def known() -> dict[str, type[eqx.Module]]:
-    """All records by name: those of RECORDS and of every stage, planned and its parameters."""
+    """All records by name: those of RECORDS, of every gait and of every stage."""
+    return {**RECORDS, **_of_gaits(), **_of_stages()}
+
+
+def _of_gaits() -> dict[str, Any]:
+    """Every gait, its parameters and the records in them."""
+    found: dict[str, Any] = {}
+    for name, gait in planner.GAITS.items():
+        inside = {f"{name}_gait_{key}": record for key, record in gait.records.items()}
+        found |= {f"{name}_gait": gait, f"{name}_gait_parameters": gait.parameters, **inside}
+    return found
+
+
+def _of_stages() -> dict[str, type[eqx.Module]]:
+    """Every stage, planned and its parameters."""
     stages = {stage.record or stage.name: stage for stage in adapt.STAGES.values()}
     planned = {name: stage.planned for name, stage in stages.items()}
-    return {**RECORDS, **planned, **{f"{name}_parameters": stage for name, stage in stages.items()}}
+    return {**planned, **{f"{name}_parameters": stage for name, stage in stages.items()}}
 
 
 _BEFORE_0_2 = {

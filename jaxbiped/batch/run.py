@@ -11,7 +11,7 @@ import polars as pl
 
 from jaxbiped import runtime
 from jaxbiped.batch import workers as crew
-from jaxbiped.batch.experiment import Experiment
+from jaxbiped.batch.experiment import Chunk, Experiment
 from jaxbiped.batch.progress import Progress
 from jaxbiped.batch.store import Found, Store, StoreError, Tell, failures, to_stderr
 from jaxbiped.checked import whole
@@ -89,13 +89,13 @@ def run(
             processes = min(given or _for_this_machine(), len(missing))
             if processes == 1 and scheduler is None:
                 runtime.use_threads()
-                done = crew.in_this_process(experiment, missing)
+                done = crew.in_this_process(experiment, missing, count.within)
             else:
-                done = crew.on_dask(experiment, missing, processes, scheduler)
+                done = crew.on_dask(experiment, missing, processes, scheduler, count.within)
             with closing(done):
                 for chunk, rows in done:
                     store.write(chunk, rows)
-                    count.add(rows)
+                    count.add(chunk, rows)
     return store.finish()
 
 
@@ -138,9 +138,16 @@ class _Count:
         self.total, self.tell, self.began = experiment.rows, tell, time.perf_counter()
         self.done, self.failed = sum(sizes[n] for n in found.failed), sum(found.failed.values())
         self.chunks, self.walked, self.first = 0, 0, (0, 0.0)
+        self.under_way: dict[int, float] = {}
         self._tell()
 
-    def add(self, rows: pl.DataFrame) -> None:
+    def within(self, chunk: Chunk, fraction: float) -> None:
+        """Take note of how much of a chunk is done."""
+        self.under_way[chunk.number] = fraction * (chunk.stop - chunk.start)
+        self._tell()
+
+    def add(self, chunk: Chunk, rows: pl.DataFrame) -> None:
+        self.under_way.pop(chunk.number, None)
         self.chunks, self.walked = self.chunks + 1, self.walked + rows.height
         self.done, self.failed = self.done + rows.height, self.failed + failures(rows)
         if self.chunks == 1:
@@ -155,7 +162,9 @@ class _Count:
         else:
             rate = self.walked / max(seconds, 1e-9) if self.walked else None
         left = None if rate is None else (self.total - self.done) / rate
-        self.tell(Progress(self.done, self.total, self.failed, seconds, rate, left))
+        within = sum(self.under_way.values(), 0.0)
+        left = None if left is None or rate is None else max(0.0, left - within / rate)
+        self.tell(Progress(self.done, self.total, self.failed, seconds, rate, left, within))
 
 
 @contextmanager

@@ -14,8 +14,9 @@ import sys
 import tempfile
 import time
 import uuid
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,8 @@ ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,
 UNGUARDED = "JAXBIPED_UNGUARDED"
 """Environment of the workers: the file to be made by one that runs its parent's script."""
 Done = Generator[tuple[Chunk, pl.DataFrame], None, None]
+Within = Callable[[Chunk, float], None]
+"""Is told which fraction of a chunk is done."""
 
 
 class WorkersError(RuntimeError):
@@ -72,13 +75,15 @@ def require_main_guard() -> None:
         os._exit(1)
 
 
-def in_this_process(experiment: Experiment, chunks: list[Chunk]) -> Done:
+def in_this_process(experiment: Experiment, chunks: list[Chunk], told: Within) -> Done:
     """Walk chunk after chunk here."""
     for chunk in chunks:
-        yield chunk, walk_chunk(experiment, chunk)
+        yield chunk, walk_chunk(experiment, chunk, partial(told, chunk))
 
 
-def on_dask(experiment: Experiment, chunks: list[Chunk], workers: int, scheduler: str | None) -> Done:
+def on_dask(
+    experiment: Experiment, chunks: list[Chunk], workers: int, scheduler: str | None, told: Within
+) -> Done:
     """Walk on Dask workers, as they finish: `workers` processes of this machine, or those of a scheduler's address.
 
     The first chunk of every variant goes ahead of its others: the worker that gets it compiles, and the others
@@ -94,7 +99,7 @@ def on_dask(experiment: Experiment, chunks: list[Chunk], workers: int, scheduler
     for chunk in chunks:
         waiting.setdefault(chunk.variant, []).append(chunk)
     with _loss_as_error(scheduler), _client(workers, scheduler) as client:
-        crew = _Crew(client, experiment)
+        crew = _Crew(client, experiment, told)
         for first, *_ in waiting.values():
             crew.submit(first)
         while crew.running:
@@ -123,9 +128,10 @@ class _Crew:
     Nothing is on a worker only: the scheduler holds the experiment too, and whoever is left gets it again.
     """
 
-    def __init__(self, client: Any, experiment: Experiment):
+    def __init__(self, client: Any, experiment: Experiment, told: Within):
         self.client, self.run = client, uuid.uuid4().hex  # of this run: others may use the same scheduler
-        self.finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.told, self.heard = told, queue.SimpleQueue()  # of finished chunks, and of how far the others are
+        client.subscribe_topic(self.run, self.heard.put)
         self.running: dict[Any, Chunk] = {}
         self.code = code()
         self.experiment = client.submit(_itself, experiment, pure=False, key=f"experiment-{self.run}")
@@ -133,9 +139,10 @@ class _Crew:
     def submit(self, chunk: Chunk) -> None:
         """Give a chunk to whoever is free."""
         key = f"chunk-{self.run}-{chunk.number:05d}"
-        future = self.client.submit(_walk, self.experiment, chunk, _cache(), self.code, pure=False, key=key)
+        given = (self.experiment, chunk, _cache(), self.code, self.run)
+        future = self.client.submit(_walk, *given, pure=False, key=key)
         self.running[future] = chunk
-        future.add_done_callback(self.finished.put)
+        future.add_done_callback(self.heard.put)
 
     def next(self) -> tuple[Chunk, pl.DataFrame]:
         """Wait for a chunk that is finished, and for its rows."""
@@ -148,7 +155,14 @@ class _Crew:
         last_seen = time.monotonic()
         while True:
             with contextlib.suppress(queue.Empty):
-                return self.finished.get(timeout=POLL_S)
+                heard = self.heard.get(timeout=POLL_S)
+                if not isinstance(heard, tuple):
+                    return heard
+                number, fraction = heard[1]  # after the time
+                for chunk in self.running.values():
+                    if chunk.number == number:
+                        self.told(chunk, fraction)
+                continue
             if self.client.scheduler_info()["workers"]:
                 last_seen = time.monotonic()
             elif time.monotonic() - last_seen > PATIENCE_S:
@@ -301,8 +315,10 @@ def _itself(experiment: Experiment) -> Experiment:
     return experiment
 
 
-def _walk(experiment: Experiment, chunk: Chunk, cache: str | None, expected: dict[str, str]) -> pl.DataFrame:
-    """On a worker."""
+def _walk(
+    experiment: Experiment, chunk: Chunk, cache: str | None, expected: dict[str, str], topic: str
+) -> pl.DataFrame:
+    """On a worker, which says under a topic how far it is."""
     different = [name for name, version in code().items() if version != expected[name]]
     if different:
         raise WorkersError(
@@ -312,7 +328,8 @@ def _walk(experiment: Experiment, chunk: Chunk, cache: str | None, expected: dic
         jax.config.update("jax_compilation_cache_dir", cache)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     _make_room(experiment, chunk)
-    return walk_chunk(experiment, chunk)
+    worker = _distributed().get_worker()
+    return walk_chunk(experiment, chunk, lambda done: worker.log_event(topic, (chunk.number, done)))
 
 
 _kinds: set[Any] = set()

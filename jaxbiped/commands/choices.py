@@ -8,11 +8,12 @@ import equinox as eqx
 from jaxbiped import adapt, checked, planner, robot
 from jaxbiped.adapt import variants
 from jaxbiped.adapt.variants import OFF
-from jaxbiped.batch.defaults import GAITS, MAX_STEPS, PRESETS, own_gait
+from jaxbiped.batch.defaults import MAX_STEPS
 from jaxbiped.checked import Refusal
 from jaxbiped.commands.common import InputError
 from jaxbiped.planner.constraints import OR_ALLOW
 
+GAIT_NAMES = "|".join(sorted(planner.GAITS))
 PAPER, ORIGINAL, MODIFIED, REPAIRED = "paper", "original", "modified", "repaired"
 LANDINGS, REFLEXES = (OFF, *adapt.Landing.variants), (OFF, *adapt.PayloadReflex.variants)
 ALLOW_HELP = (
@@ -23,26 +24,32 @@ ALLOW_HELP = (
 
 def gait_name(given: str | None, params: robot.RobotParams) -> str:
     """The gait that was asked for, else that of the robot's own paper."""
-    return own_gait(params) if given is None else given
+    try:
+        return planner.own_gait_name(params) if given is None else given
+    except planner.GaitError as error:
+        raise InputError(f"--robot, --gait: {error}") from None
 
 
-def make_gait(params: robot.RobotParams, name: str, steps: int, allow_infeasible: bool = False) -> Any:
+def make_gait(
+    params: robot.RobotParams, name: str, steps: int, allow_infeasible: bool = False
+) -> planner.Gait:
     """The preset gait of a robot; refused if it breaks a constraint, unless it is known to or that is allowed."""
-    if name not in GAITS:
-        raise InputError(f"--gait: got '{name}', allowed: {', '.join(GAITS)}{checked.nearest(name, GAITS)}")
+    gaits = planner.GAITS
+    if name not in gaits:
+        raise InputError(f"--gait: got '{name}', allowed: {', '.join(gaits)}{checked.nearest(name, gaits)}")
     if not 1 <= steps <= MAX_STEPS:
         raise InputError(f"--steps: got {steps}, allowed: 1 to {MAX_STEPS}")
     try:
-        return GAITS[name].preset(params, steps, allow_infeasible=allow_infeasible)
+        return gaits[name].preset(params, steps, allow_infeasible=allow_infeasible)
     except planner.GaitError as error:
         raise InputError(f"--robot, --gait: {_as_flag(error)}") from None
 
 
-def broken(params: robot.RobotParams, gait: Any) -> list[str]:
+def broken(params: robot.RobotParams, gait: planner.Gait) -> list[str]:
     """Say which constraints a plan breaks; a line for each, with the reason where a preset is known to break one."""
     lines = [violation.words(params, gait) for violation in planner.violations(params, gait)]
     known = planner.known_infeasible(type(gait), params)
-    if lines and known and eqx.tree_equal(gait.params, PRESETS[type(gait)](params)):
+    if lines and known and eqx.tree_equal(gait.params, gait.preset_params(params)):
         lines[-1] += f"; known of this preset: {known}"
     return lines
 

@@ -14,7 +14,6 @@ from tyro.conf import arg
 
 from jaxbiped import adapt, batch, kinematics, planner, robot, sim
 from jaxbiped.batch import records, store
-from jaxbiped.batch.defaults import clock_start
 from jaxbiped.batch.run import MAX_WORKERS
 from jaxbiped.commands import batches, obstacles, payload, replay, walk
 from jaxbiped.commands.common import (
@@ -91,18 +90,15 @@ def run(command: Demo) -> dict[str, Any]:
     require_folder(out)
     with batch.waiting("planning"):
         key = _claim(command)
-    surena, elkahlout = robot.load("surena3"), robot.load("elkahlout")
-    walks = {
-        "surena3": plan_of(surena, planner.PolynomialGait.preset(surena, N_STEPS)),
-        "elkahlout": plan_of(elkahlout, planner.CosineGait.preset(elkahlout, N_STEPS)),
-    }
+    robots = {name: robot.load(name) for name in ("surena3", "elkahlout")}
+    walks = {name: plan_of(one, planner.own_gait(one, N_STEPS)) for name, one in robots.items()}
     summaries = {name: summary_of(walk) for name, walk in walks.items()}
     for summary in summaries.values():
         print(in_words(summary), flush=True)
     loads, pads = payload.run(_payload(command)), obstacles.run(_obstacles(command))
     print("simulating surena3 over three obstacles, with and without landing adaptation", flush=True)
     with batch.waiting("compiling and simulating two walks"):
-        simulated = _walk_over_obstacles(surena, walks["surena3"].gait)
+        simulated = _walk_over_obstacles(robots["surena3"], walks["surena3"].gait)
     outcomes = {name: outcome(walk) for name, walk in simulated.items()}
     for name, one in outcomes.items():
         print(f"  {name}: {outcome_in_words(one)}", flush=True)
@@ -160,7 +156,7 @@ def _recovery(command: Demo) -> dict[str, Any]:
     """One row of the grid of loads again, with its figures."""
     out = command.out
     experiment, table = batch.open_table(out / "payload")
-    start = clock_start(next(iter(experiment.variants.values())).gait)
+    start = float(next(iter(experiment.variants.values())).gait.clock_start)
     wanted = (
         (pl.col("variant") == RECOVERY["variant"])
         & (pl.col("load_kg") == RECOVERY["load_kg"])

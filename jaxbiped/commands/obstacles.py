@@ -10,7 +10,7 @@ from tyro.conf import arg
 from jaxbiped import batch
 from jaxbiped.batch.recipes import HEIGHTS
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import ALLOW_HELP, LANDINGS
+from jaxbiped.commands.choices import ALLOW_HELP, GAIT_NAMES, LANDINGS
 from jaxbiped.commands.common import draw
 
 FIGURES = ("obstacles.png",)
@@ -24,7 +24,7 @@ class Obstacles:
 
     robot: str = "surena3"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
-    gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
+    gait: Annotated[str | None, arg(metavar=GAIT_NAMES)] = None
     """Default: the gait of the robot's own paper."""
     variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = LANDINGS
     heights: Annotated[tuple[float, ...], arg(help=HEIGHTS_HELP)] = HEIGHTS

@@ -8,10 +8,9 @@ import polars as pl
 from tyro.conf import arg
 
 from jaxbiped import batch
-from jaxbiped.batch.defaults import clock_start
 from jaxbiped.batch.recipes import LOADS, TIMES
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import ALLOW_HELP
+from jaxbiped.commands.choices import ALLOW_HELP, GAIT_NAMES
 from jaxbiped.commands.common import draw
 
 FIGURES = ("payload_success.png", "payload_pitch.png")
@@ -31,7 +30,7 @@ class Payload:
 
     robot: str = "elkahlout"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
-    gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
+    gait: Annotated[str | None, arg(metavar=GAIT_NAMES)] = None
     """Default: the gait of the robot's own paper."""
     variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = ("off", "original", "modified")
     loads: Annotated[tuple[float, ...], arg(help=LOADS_HELP)] = LOADS
@@ -85,7 +84,7 @@ def set_up(command: Payload) -> tuple[batch.Experiment, float]:
             command.seed,
             command.batch,
         )
-    return experiment, clock_start(next(iter(experiment.variants.values())).gait)
+    return experiment, float(next(iter(experiment.variants.values())).gait.clock_start)
 
 
 def cells(table: pl.DataFrame, start: float) -> list[dict[str, Any]]:

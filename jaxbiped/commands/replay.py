@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from tyro.conf import Positional, arg
 
-from jaxbiped import batch, files, planner, sim
+from jaxbiped import batch, files, sim
 from jaxbiped.batch import part
 from jaxbiped.batch.columns import outcomes as columns_of
 from jaxbiped.commands import walk
@@ -92,7 +92,6 @@ def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
     return Setup(
         robot=experiment.robot,
         gait=controller.gait,
-        gait_name="cosine" if isinstance(controller.gait, planner.CosineGait) else "polynomial",
         obstacles=[Obstacle(step, height) for step, height in heights.items() if height],
         load=Load(row["load_kg"], row["load_time_s"], end if end < batch.NEVER else None) if loaded else None,
         variants=Variants(landing=names[0], reflex=names[1]),

@@ -10,15 +10,15 @@ import jax
 import numpy as np
 from tyro.conf import arg
 
-from jaxbiped import adapt, batch, files, sim, tune
+from jaxbiped import adapt, batch, files, planner, sim, tune
 from jaxbiped.adapt import tunables
 from jaxbiped.adapt.variants import stage_of
 from jaxbiped.batch import Choice, Uniform
-from jaxbiped.batch.defaults import GAITS, clock_start, floor_friction, simulation_options
 from jaxbiped.checked import nearest
 from jaxbiped.commands import batches
 from jaxbiped.commands.choices import (
     ALLOW_HELP,
+    GAIT_NAMES,
     MODIFIED,
     REPAIRED,
     gait_name,
@@ -68,7 +68,7 @@ class Tune:
 
     robot: str = "elkahlout"
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
-    gait: Annotated[str | None, arg(metavar="polynomial|cosine")] = None
+    gait: Annotated[str | None, arg(metavar=GAIT_NAMES)] = None
     """Default: the gait of the robot's own paper."""
     what: Annotated[tuple[str, ...], arg(help=WHAT_HELP)] = ("payload",)
     variant: Annotated[str | None, arg(metavar="original|modified|paper|repaired|FILE")] = None
@@ -136,8 +136,8 @@ def require_names(names: tuple[str, ...], gait: str) -> None:
         InputError: with the nearest name.
     """
     known = [*BASES, *tunables.known()]
-    if gait in GAITS:
-        known += [f"gait.{name}" for name in GAITS[gait].quantities]
+    if gait in planner.GAITS:
+        known += [f"gait.{name}" for name in planner.GAITS[gait].quantities]
     if not names or len(set(names)) < len(names):
         raise InputError(f"--what: got {' '.join(names) or 'none'}, allowed: one or more names, each once")
     for name in names:
@@ -169,7 +169,7 @@ def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
             params,
             {command.variant or "tuned": variant},
             _scenarios(command, params, variant.gait, stages, command.seed + HELD_OUT_SEED * held),
-            simulation_options(params, variant.gait),
+            sim.own_options(params, variant.gait),
             duration=horizon if command.duration is None else command.duration,
             seed=command.seed,
         )
@@ -198,7 +198,7 @@ def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tab
 def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: int) -> Any:
     ranges: dict[str, Any] = {}
     if "payload" in stages:
-        start = clock_start(gait)
+        start = float(gait.clock_start)
         last = float(gait.timing.first_liftoff) + 1.5 * float(gait.timing.T_c)
         mass = float(params.total_mass)
         ranges["load_kg"] = Uniform(LIGHTEST * mass, HEAVIEST * mass)
@@ -207,7 +207,7 @@ def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: in
         highest = min(HIGHEST, 0.8 * sim.swing_height(gait))
         heights = np.round(np.linspace(-highest, highest, 17), 4)
         ranges[batch.height_column(PAD_STEP)] = Choice(tuple(float(h) for h in heights if abs(h) > 1e-3))
-    floor = floor_friction(params, gait)
+    floor = sim.own_friction(params, gait)
     return batch.draw(command.scenarios, seed, friction=Uniform(0.75 * floor, 1.25 * floor), **ranges)
 
 

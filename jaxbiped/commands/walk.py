@@ -14,7 +14,7 @@ from jaxbiped import batch, planner, score, sim
 from jaxbiped.adapt.landing import nominal_T_mod
 from jaxbiped.batch import records, store
 from jaxbiped.commands import walk_words
-from jaxbiped.commands.choices import ALLOW_HELP, broken
+from jaxbiped.commands.choices import ALLOW_HELP, GAIT_NAMES, broken
 from jaxbiped.commands.common import (
     OVERWRITE_HELP,
     InputError,
@@ -54,7 +54,7 @@ DRAWN_EVERY = 5
 Words = tuple[tuple[str, ...], ...]
 """Values of an argument that may be given several times, each time with several values."""
 
-GAIT_HELP = "Default: the gait of the robot's own paper, cosine for elkahlout, else polynomial."
+GAIT_HELP = "Default: the gait of the robot's own paper."
 OBSTACLE_HELP = (
     "Pads under footholds: number of the step, 0 for the first, and height in m, negative for a hole. "
     "Example: 3:0.03 4:-0.02"
@@ -79,7 +79,7 @@ class Walk:
     """Name of a preset (elkahlout, surena3) or path of a robot file (.toml)."""
     steps: int = 8
     """Number of steps."""
-    gait: Annotated[str | None, arg(metavar="polynomial|cosine", help=GAIT_HELP)] = None
+    gait: Annotated[str | None, arg(metavar=GAIT_NAMES, help=GAIT_HELP)] = None
     obstacle: Annotated[Words, UseAppendAction, arg(metavar="STEP:HEIGHT ...", help=OBSTACLE_HELP)] = ()
     payload: Annotated[Words, UseAppendAction, arg(metavar="MASS@TIME", help=PAYLOAD_HELP)] = ()
     variant: Annotated[
@@ -177,7 +177,7 @@ def _tell(setup: Setup, walk: Any) -> Told:
 def _result(told: Told) -> dict[str, Any]:
     """Everything that is printed, in SI units but where a name says otherwise."""
     setup, verdict = told.setup, told.verdict
-    start = round(float(setup.gait.params.T_ini), 6) if setup.gait_name == "cosine" else None
+    start = round(float(setup.gait.clock_start), 6) or None
     load = None
     if setup.load is not None:
         load = {

@@ -10,18 +10,15 @@ import numpy as np
 
 from jaxbiped import adapt, checked, robot, score, sim
 from jaxbiped.adapt.variants import stage_of
-from jaxbiped.batch.defaults import floor_friction, simulation_options
 from jaxbiped.commands.choices import (
     MODIFIED,
     OFF,
     ORIGINAL,
     PAPER,
     REPAIRED,
+    gait_name,
     load_variant,
     make_gait,
-)
-from jaxbiped.commands.choices import (
-    gait_name as name_of_gait,
 )
 from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears
@@ -71,7 +68,6 @@ class Setup:
 
     robot: robot.RobotParams
     gait: Any
-    gait_name: str
     obstacles: list[Obstacle]
     load: Load | None
     variants: Variants
@@ -81,11 +77,16 @@ class Setup:
     duration: float
     """To be simulated [s]."""
 
+    @property
+    def gait_name(self) -> str:
+        """Name of the gait."""
+        return self.gait.name
+
 
 def set_up(
     robot_name: str,
     steps: int,
-    gait_name: str | None,
+    given_gait: str | None,
     obstacles: Iterable[str],
     payload: Iterable[str],
     variants: Iterable[str],
@@ -97,8 +98,8 @@ def set_up(
         InputError: if one of them cannot be used.
     """
     params = load_robot("--robot", robot_name)
-    gait_name = name_of_gait(gait_name, params)
-    gait, words = make_gait(params, gait_name, steps, allow_infeasible), list(variants)
+    gait = make_gait(params, gait_name(given_gait, params), steps, allow_infeasible)
+    words = list(variants)
     of_file = _of_file(words, params, gait, allow_infeasible)
     gait = gait if of_file is None else of_file.gait
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
@@ -112,12 +113,11 @@ def set_up(
     else:
         controller, stages = of_file, (of_file.stage("landing"), of_file.stage("payload"))
         chosen = Variants(*(OFF if stage is None else words[0] for stage in stages))
-    options = simulation_options(params, gait)
+    options = sim.own_options(params, gait)
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     return Setup(
         robot=params,
         gait=gait,
-        gait_name=gait_name,
         obstacles=pads,
         load=load,
         variants=chosen,
@@ -228,7 +228,7 @@ def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants
 
 
 def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
-    scenario = sim.Scenario.flat(rectangles=max(8, len(pads))).with_friction(floor_friction(params, gait))
+    scenario = sim.Scenario.flat(rectangles=max(8, len(pads))).with_friction(sim.own_friction(params, gait))
     for pad in pads:
         scenario = scenario.with_rectangle(*pad_under(params, gait, pad.step), pad.height)
     _refuse_overlaps(pads, scenario.terrain)

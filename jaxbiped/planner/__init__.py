@@ -5,16 +5,17 @@ from jaxbiped.planner.checks import GaitError, is_concrete
 from jaxbiped.planner.constraints import FRICTION, MIN_KNEE, Violation, violations
 from jaxbiped.planner.cosine_gait import CosineGait, CosineParams
 from jaxbiped.planner.feasibility import Feasibility, feasibility, sample_times
+from jaxbiped.planner.gait import GAITS, Gait, own_gait, own_gait_name, register
 from jaxbiped.planner.polynomial_gait import PolynomialGait, PolynomialParams, StartStop
-from jaxbiped.planner.presets import cosine_params, known_infeasible, polynomial_params
+from jaxbiped.planner.presets import known_infeasible
 from jaxbiped.planner.targets import (
     DOUBLE_SUPPORT,
     PLANNED_STEP,
     RECOVERY_STEP,
     REFLEX_STEP,
     SINGLE_SUPPORT,
-    Gait,
     Phase,
+    Plan,
     Targets,
     TaskSpace,
     Timing,
@@ -24,6 +25,7 @@ from jaxbiped.planner.targets import (
 __all__ = [
     "DOUBLE_SUPPORT",
     "FRICTION",
+    "GAITS",
     "MIN_KNEE",
     "PLANNED_STEP",
     "RECOVERY_STEP",
@@ -35,6 +37,7 @@ __all__ = [
     "Gait",
     "GaitError",
     "Phase",
+    "Plan",
     "PolynomialGait",
     "PolynomialParams",
     "StartStop",
@@ -43,12 +46,13 @@ __all__ = [
     "Timing",
     "Violation",
     "at",
-    "cosine_params",
     "feasibility",
     "is_concrete",
     "known_infeasible",
+    "own_gait",
+    "own_gait_name",
     "polynomial",
-    "polynomial_params",
+    "register",
     "sample_times",
     "support",
     "violations",

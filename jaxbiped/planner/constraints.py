@@ -16,7 +16,7 @@ from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.checks import GaitError
 from jaxbiped.planner.feasibility import Feasibility, of_targets
-from jaxbiped.planner.targets import Gait, Targets, TaskSpace, at
+from jaxbiped.planner.targets import Plan, Targets, TaskSpace, at
 from jaxbiped.robot import JOINT_NAMES, KNEE, SIDE_NAMES, RobotParams
 
 FRICTION = 0.8
@@ -53,13 +53,13 @@ class Violation:
     allowed: str
     """What is allowed, in words."""
 
-    def words(self, robot: RobotParams, gait: Gait) -> str:
+    def words(self, robot: RobotParams, gait: Plan) -> str:
         """One line for a person."""
         when = f"at t = {self.time:.3f} s of {float(gait.duration):.3f} s on robot {robot.name!r}"
         return f"got {self.got} {when}, allowed: {self.allowed}"
 
 
-def violations(robot: RobotParams, gait: Gait, friction: float = FRICTION) -> list[Violation]:
+def violations(robot: RobotParams, gait: Plan, friction: float = FRICTION) -> list[Violation]:
     """Find the constraints of khadiv section 2.2 that a plan breaks, each where it breaks it most.
 
     Args:
@@ -70,7 +70,7 @@ def violations(robot: RobotParams, gait: Gait, friction: float = FRICTION) -> li
     return _violations(_Sampled.of(robot, gait), friction)
 
 
-def require_walkable(robot: RobotParams, gait: Gait, friction: float, allow_infeasible: bool) -> None:
+def require_walkable(robot: RobotParams, gait: Plan, friction: float, allow_infeasible: bool) -> None:
     """Raise a GaitError if a foot is out of reach or, unless that is allowed, the plan breaks a constraint."""
     sampled = _Sampled.of(robot, gait)
     _require_reach(robot, gait, sampled)
@@ -78,7 +78,7 @@ def require_walkable(robot: RobotParams, gait: Gait, friction: float, allow_infe
         raise GaitError(f"gait: {broken.words(robot, gait)}{OR_ALLOW}")
 
 
-def require_reach(robot: RobotParams, gait: Gait) -> None:
+def require_reach(robot: RobotParams, gait: Plan) -> None:
     """Raise a GaitError if a foot target of the gait lies beyond the leg's reach or joint ranges."""
     _require_reach(robot, gait, _Sampled.of(robot, gait))
 
@@ -102,7 +102,7 @@ class _Sampled:
     n_steps: int
 
     @classmethod
-    def of(cls, robot: RobotParams, gait: Gait) -> "_Sampled":
+    def of(cls, robot: RobotParams, gait: Plan) -> "_Sampled":
         time, step = _times(gait)
         targets = jax.tree.map(np.asarray, _targets(gait, time))
         nameless = replace(robot, name="any", walks_like="")
@@ -126,7 +126,7 @@ class _Sampled:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *blocks)
 
 
-def _times(gait: Gait) -> tuple[np.ndarray, np.ndarray]:
+def _times(gait: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Sample times [s] and the number of the step at each: all support phases, and more of start and stop."""
     timing, duration = gait.timing, np.asarray(gait.duration)
     first, T_s, T_c = (float(t) for t in (timing.first_liftoff, timing.T_s, timing.T_c))
@@ -155,7 +155,7 @@ def _statuses(robot: RobotParams, targets: Targets) -> Any:
     return jax.vmap(one)(targets.position)
 
 
-def _require_reach(robot: RobotParams, gait: Gait, sampled: _Sampled) -> None:
+def _require_reach(robot: RobotParams, gait: Plan, sampled: _Sampled) -> None:
     status = sampled.statuses()
     for i, side in np.argwhere(status != OK):
         raise GaitError(

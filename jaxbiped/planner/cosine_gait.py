@@ -8,7 +8,8 @@ where the body is: it advances 2 b_s in every single support and sways by w sin(
     .. duration    a quintic brings the sway to rest in T_end
 """
 
-from typing import ClassVar, SupportsIndex
+from collections.abc import Mapping
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,10 +17,10 @@ from jaxtyping import Array, Float
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import is_concrete, require, require_steps, require_within
-from jaxbiped.planner.constraints import FRICTION, check_arguments, require_walkable
+from jaxbiped.planner.checks import require
+from jaxbiped.planner.gait import PlannedGait, register
 from jaxbiped.planner.polynomial import Polynomial, as_scalar, quintic
-from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
+from jaxbiped.planner.targets import TaskSpace, Timing
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
@@ -74,11 +75,15 @@ class CosineParams(eqx.Module):
         return self.t_ss + self.t_ds
 
 
-class CosineGait(eqx.Module):
+@register
+class CosineGait(PlannedGait):
     """A planned cosine walk of `n_steps` steps; build it with `make`."""
 
-    quantities: ClassVar[dict[str, Quantity]] = QUANTITIES
+    name: ClassVar[str] = "cosine"
+    quantities: ClassVar[Mapping[str, Quantity]] = QUANTITIES
     """What the parameters may be."""
+    parameters: ClassVar[type[eqx.Module]] = CosineParams
+    """The record of the parameters."""
     params: CosineParams
     """What it was made from."""
     n_steps: int = eqx.field(static=True)
@@ -91,79 +96,27 @@ class CosineGait(eqx.Module):
     """Lateral pelvis position to rest [m]."""
 
     @classmethod
-    def preset(
-        cls,
-        robot: RobotParams,
-        n_steps: SupportsIndex = 8,
-        first_swing: SupportsIndex = LEFT,
-        *,
-        friction: float = FRICTION,
-        allow_infeasible: bool = False,
-    ) -> "CosineGait":
-        """Plan a walk with the preset parameters of a known robot, or of one that walks like it.
-
-        A preset that is known to break a constraint (`presets.known_infeasible` says which and why) is planned
-        nevertheless; `violations` says by how much.
-
-        Args:
-            robot: that walks.
-            n_steps: number of steps.
-            first_swing: the foot that swings first, 0 left or 1 right.
-            friction: coefficient of the ground.
-            allow_infeasible: whether to plan what breaks a constraint, too.
-
-        Raises:
-            GaitError: if neither its name nor its `walks_like` is that of a preset, or as `make` says.
-        """
-        from jaxbiped.planner.presets import cosine_params, known_infeasible
-
-        allow = allow_infeasible or bool(known_infeasible(cls, robot))
-        params = cosine_params(robot)
-        return cls.make(robot, params, n_steps, first_swing, friction=friction, allow_infeasible=allow)
+    def require_sane(cls, robot: RobotParams, params: CosineParams) -> None:
+        """Raise a GaitError for parameters within their bounds that do not fit each other, or the robot."""
+        p = params
+        inner = 0.5 * float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
+        require("w_of", p.w_of, f"> {inner:g} m (the soles must not overlap)", p.w_of > inner, unit="m")
 
     @classmethod
-    def make(
-        cls,
-        robot: RobotParams,
-        params: CosineParams,
-        n_steps: SupportsIndex,
-        first_swing: SupportsIndex = LEFT,
-        *,
-        friction: float = FRICTION,
-        allow_infeasible: bool = False,
-    ) -> "CosineGait":
-        """Plan a walk that breaks no constraint of khadiv section 2.2.
-
-        The ZMP stays inside the support polygon, the friction that is needed below the ground's, joint torques and
-        speeds within the robot's limits, knees bent by `MIN_KNEE` or more.
-
-        Args:
-            robot: that walks.
-            params: of the gait.
-            n_steps: number of steps.
-            first_swing: the foot that swings first, 0 left or 1 right.
-            friction: coefficient of the ground.
-            allow_infeasible: whether to plan what breaks a constraint, too.
-
-        Raises:
-            GaitError: if the parameters cannot be walked by this robot: out of bounds, a foot out of reach, or a
-                constraint broken (only where their values are known: what is traced is not judged).
-        """
-        n_steps, first_swing = require_steps(n_steps, first_swing)
-        friction, allow_infeasible = check_arguments(friction, allow_infeasible)
-        known = is_concrete(params, robot, friction)
-        if known:
-            _require_sane(robot, params)
-        gait = _plan(params, n_steps, first_swing)
-        if known:
-            require_walkable(robot, gait, friction, allow_infeasible)
-        return gait
+    def plan(cls, params: CosineParams, n_steps: int, first_swing: int) -> "CosineGait":
+        """The walk of these parameters; pure."""
+        return _plan(params, n_steps, first_swing)
 
     @property
     def duration(self) -> Scalar:
         """From rest to rest [s]."""
         p = self.params
         return p.T_ini + self.n_steps * p.T_c + p.T_end
+
+    @property
+    def clock_start(self) -> Scalar:
+        """When the thesis' time starts, since the start of the walk [s]."""
+        return self.params.T_ini
 
     @property
     def timing(self) -> Timing:
@@ -190,10 +143,6 @@ class CosineGait(eqx.Module):
         pelvis = jnp.stack([middle - p.b_s * jnp.cos(angle), self._sway(t) - p.y_ref, p.h_b])
         return TaskSpace(jnp.stack(soles), pelvis)
 
-    def phase(self, t: Scalar) -> Phase:
-        """Phase of the walk at time t [s]."""
-        return step_phase(self.timing, t)
-
     def _sway(self, t: Scalar) -> Scalar:
         p = self.params
         stop = p.T_ini + self.n_steps * p.T_c
@@ -214,12 +163,6 @@ def _held(t: Scalar, start: Scalar | float, end: Scalar) -> Scalar:
 def _towards_stance(first_swing: int) -> float:
     """Lateral direction of the foot that stands in the first step."""
     return -1.0 if first_swing == LEFT else 1.0
-
-
-def _require_sane(robot: RobotParams, p: CosineParams) -> None:
-    require_within(p, QUANTITIES)
-    inner = 0.5 * float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
-    require("w_of", p.w_of, f"> {inner:g} m (the soles must not overlap)", p.w_of > inner, unit="m")
 
 
 @runtime.jit

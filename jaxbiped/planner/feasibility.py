@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxbiped import runtime
 from jaxbiped.kinematics import Motion, MotionState, Wrench, body, dynamics, joint_angles
 from jaxbiped.planner import support
-from jaxbiped.planner.targets import DOUBLE_SUPPORT, Gait, Phase, Targets, TaskSpace
+from jaxbiped.planner.targets import DOUBLE_SUPPORT, Phase, Plan, Targets, TaskSpace
 from jaxbiped.robot import KNEE, RobotParams
 
 
@@ -109,7 +109,7 @@ class Frozen(eqx.Module):
         return self.targets.phase
 
 
-def instant(robot: RobotParams, gait: Gait | Frozen, t: Float[Array, ""]) -> Feasibility:
+def instant(robot: RobotParams, gait: Plan | Frozen, t: Float[Array, ""]) -> Feasibility:
     """What a gait takes at time t [s]."""
     state: MotionState = dynamics.evaluate(robot, motion_of(robot, gait.task), t)
     task, phase, wrench = gait.task(t), gait.phase(t), state.ground_wrench
@@ -149,6 +149,6 @@ def of_targets(robot: RobotParams, targets: Targets) -> Feasibility:
     return jax.vmap(lambda one: instant(robot, Frozen(one), jnp.zeros_like(one.time)))(targets)
 
 
-def sample_times(gait: Gait, n: int = 1000) -> Float[Array, " n"]:
+def sample_times(gait: Plan, n: int = 1000) -> Float[Array, " n"]:
     """Times that cover a walk from rest to rest, shifted off the phase changes [s]."""
     return (jnp.arange(n) + 0.5) / n * gait.duration

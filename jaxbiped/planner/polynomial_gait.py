@@ -10,7 +10,8 @@ foot. Time runs
 """
 
 import operator
-from typing import ClassVar, SupportsIndex
+from collections.abc import Mapping
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -19,8 +20,8 @@ from jaxtyping import Array, Float
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import is_concrete, require, require_steps, require_within
-from jaxbiped.planner.constraints import FRICTION, check_arguments, require_walkable
+from jaxbiped.planner.checks import require
+from jaxbiped.planner.gait import PlannedGait, register
 from jaxbiped.planner.polynomial import (
     PiecewisePolynomial,
     Polynomial,
@@ -33,7 +34,7 @@ from jaxbiped.planner.polynomial import (
     shift,
     spline_slopes,
 )
-from jaxbiped.planner.targets import Phase, TaskSpace, Timing, step_phase
+from jaxbiped.planner.targets import TaskSpace, Timing
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
@@ -194,11 +195,16 @@ def steady_pelvis_z(p: PolynomialParams) -> tuple[Polynomial, Polynomial]:
     return boundary_polynomial(*falling), boundary_polynomial(*rising)
 
 
-class PolynomialGait(eqx.Module):
+@register
+class PolynomialGait(PlannedGait):
     """A planned polynomial walk of `n_steps` steps; build it with `make`."""
 
-    quantities: ClassVar[dict[str, Quantity]] = QUANTITIES
+    name: ClassVar[str] = "polynomial"
+    quantities: ClassVar[Mapping[str, Quantity]] = QUANTITIES
     """What the parameters may be."""
+    parameters: ClassVar[type[eqx.Module]] = PolynomialParams
+    """The record of the parameters."""
+    records: ClassVar[Mapping[str, type[eqx.Module]]] = {"start_stop": StartStop}
     params: PolynomialParams
     """What it was made from."""
     n_steps: int = eqx.field(static=True)
@@ -217,73 +223,20 @@ class PolynomialGait(eqx.Module):
     """Pelvis height in the world [m]."""
 
     @classmethod
-    def preset(
-        cls,
-        robot: RobotParams,
-        n_steps: SupportsIndex = 8,
-        first_swing: SupportsIndex = LEFT,
-        *,
-        friction: float = FRICTION,
-        allow_infeasible: bool = False,
-    ) -> "PolynomialGait":
-        """Plan a walk with the preset parameters of a known robot, or of one that walks like it.
-
-        A preset that is known to break a constraint (`presets.known_infeasible` says which and why) is planned
-        nevertheless; `violations` says by how much.
-
-        Args:
-            robot: that walks.
-            n_steps: number of steps.
-            first_swing: the foot that swings first, 0 left or 1 right.
-            friction: coefficient of the ground.
-            allow_infeasible: whether to plan what breaks a constraint, too.
-
-        Raises:
-            GaitError: if neither its name nor its `walks_like` is that of a preset, or as `make` says.
-        """
-        from jaxbiped.planner.presets import known_infeasible, polynomial_params
-
-        allow = allow_infeasible or bool(known_infeasible(cls, robot))
-        params = polynomial_params(robot)
-        return cls.make(robot, params, n_steps, first_swing, friction=friction, allow_infeasible=allow)
+    def require_sane(cls, robot: RobotParams, params: PolynomialParams) -> None:
+        """Raise a GaitError for parameters within their bounds that do not fit each other, or the robot."""
+        p = params
+        for name in ("T_ini", "T_end"):
+            least = 0.5 * p.T_d
+            require(name, getattr(p, name), f">= T_d / 2 = {float(least):g} s", getattr(p, name) >= least)
+        require("z_max", p.z_max, f">= z_min = {float(p.z_min):g} m", p.z_max >= p.z_min, unit="m")
+        inner = float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
+        require("L_p", p.L_p, f"> {inner:g} m (the soles must not overlap)", p.L_p > inner, unit="m")
 
     @classmethod
-    def make(
-        cls,
-        robot: RobotParams,
-        params: PolynomialParams,
-        n_steps: SupportsIndex,
-        first_swing: SupportsIndex = LEFT,
-        *,
-        friction: float = FRICTION,
-        allow_infeasible: bool = False,
-    ) -> "PolynomialGait":
-        """Plan a walk that breaks no constraint of khadiv section 2.2.
-
-        The ZMP stays inside the support polygon, the friction that is needed below the ground's, joint torques and
-        speeds within the robot's limits, knees bent by `MIN_KNEE` or more.
-
-        Args:
-            robot: that walks.
-            params: of the gait.
-            n_steps: number of steps.
-            first_swing: the foot that swings first, 0 left or 1 right.
-            friction: coefficient of the ground.
-            allow_infeasible: whether to plan what breaks a constraint, too.
-
-        Raises:
-            GaitError: if the parameters cannot be walked by this robot: out of bounds, a foot out of reach, or a
-                constraint broken (only where their values are known: what is traced is not judged).
-        """
-        n_steps, first_swing = require_steps(n_steps, first_swing)
-        friction, allow_infeasible = check_arguments(friction, allow_infeasible)
-        known = is_concrete(params, robot, friction)
-        if known:
-            _require_sane(robot, params)
-        gait = _plan(params, n_steps, first_swing)
-        if known:
-            require_walkable(robot, gait, friction, allow_infeasible)
-        return gait
+    def plan(cls, params: PolynomialParams, n_steps: int, first_swing: int) -> "PolynomialGait":
+        """The walk of these parameters; pure."""
+        return _plan(params, n_steps, first_swing)
 
     @property
     def duration(self) -> Scalar:
@@ -314,20 +267,6 @@ class PolynomialGait(eqx.Module):
             )
             soles.append(jnp.stack([x, y, z]))
         return TaskSpace(jnp.stack(soles), jnp.stack([self.pelvis_x(t), self.pelvis_y(t), self.pelvis_z(t)]))
-
-    def phase(self, t: Scalar) -> Phase:
-        """Phase of the walk at time t [s]."""
-        return step_phase(self.timing, t)
-
-
-def _require_sane(robot: RobotParams, p: PolynomialParams) -> None:
-    require_within(p, QUANTITIES)
-    for name in ("T_ini", "T_end"):
-        least = 0.5 * p.T_d
-        require(name, getattr(p, name), f">= T_d / 2 = {float(least):g} s", getattr(p, name) >= least)
-    require("z_max", p.z_max, f">= z_min = {float(p.z_min):g} m", p.z_max >= p.z_min, unit="m")
-    inner = float(robot.p_sole_corner[RIGHT, :, 1].max() - robot.p_sole_corner[LEFT, :, 1].min())
-    require("L_p", p.L_p, f"> {inner:g} m (the soles must not overlap)", p.L_p > inner, unit="m")
 
 
 @runtime.jit

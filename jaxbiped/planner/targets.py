@@ -102,8 +102,8 @@ class Targets(eqx.Module):
 
 
 @runtime_checkable
-class Gait(Protocol):
-    """A planned walk: functions of time, for any time, under jit."""
+class Plan(Protocol):
+    """A planned walk: functions of time, for any time, under jit. A `gait.Gait` is one that knows how it was made."""
 
     @property
     def duration(self) -> Float[Array, ""]:
@@ -124,8 +124,8 @@ class Gait(Protocol):
         ...
 
 
-def at(gait: Gait, t: Float[Array, ""] | float) -> Targets:
-    """Targets of a gait at time t [s] since its start from rest; before and after it the robot stands."""
+def at(gait: Plan, t: Float[Array, ""] | float) -> Targets:
+    """Targets of a plan at time t [s] since its start from rest; before and after it the robot stands."""
     time = jnp.asarray(t, jnp.result_type(float))
     one = jnp.ones_like(time)
 

@@ -13,11 +13,12 @@ import numpy as np
 import polars as pl
 
 from jaxbiped import robot
-from jaxbiped.batch import NEVER, Experiment, defaults, steps_of, summary
-from jaxbiped.planner import CosineGait
+from jaxbiped.batch import NEVER, Experiment, steps_of, summary
 from jaxbiped.report import grids, quantities, tables
 from jaxbiped.report.page import Picture, Section
 
+THESIS_ROBOT = "elkahlout"
+"""The preset whose printed tables these are."""
 THESIS = {"off": 1, "original": 2, "modified": 3}
 """Which of the thesis' tables 4.1, 4.2, 4.3 a variant of the payload reflex answers to."""
 FEW = 64
@@ -66,8 +67,8 @@ def sections(
 
 
 def clock_start(experiment: Experiment) -> float:
-    """When the clock of loading times starts, since the start of the walk [s]: T_ini for the cosine gait."""
-    return defaults.clock_start(next(iter(experiment.variants.values())).gait)
+    """When the clock of loading times starts, since the start of the walk [s]."""
+    return float(next(iter(experiment.variants.values())).gait.clock_start)
 
 
 def varying(table: pl.DataFrame) -> list[str]:
@@ -93,7 +94,8 @@ def is_thesis_experiment(experiment: Experiment) -> bool:
     """Whether the walks are the thesis' own: by the numbers of the robot, whatever its name, and the kind of gait."""
     ours, thesis = _numbers(experiment.robot), _numbers_of_the_thesis()
     same = len(ours) == len(thesis) and all(map(np.array_equal, ours, thesis))
-    return same and all(isinstance(variant.gait, CosineGait) for variant in experiment.variants.values())
+    own = robot.defaults(THESIS_ROBOT).gait
+    return same and all(variant.gait.name == own for variant in experiment.variants.values())
 
 
 def _numbers(params: robot.RobotParams) -> list[np.ndarray]:
@@ -103,7 +105,7 @@ def _numbers(params: robot.RobotParams) -> list[np.ndarray]:
 
 @functools.cache
 def _numbers_of_the_thesis() -> list[np.ndarray]:
-    return _numbers(robot.load("elkahlout"))
+    return _numbers(robot.load(THESIS_ROBOT))
 
 
 def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, tables.Agreement]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import polars as pl
 
-from jaxbiped.batch import Experiment, defaults, height_column, records, steps_of
+from jaxbiped.batch import Experiment, height_column, records, steps_of
 from jaxbiped.report import figures, grids, overview, page
 
 FILES = {
@@ -56,7 +56,7 @@ def _overview(experiment: Experiment, table: pl.DataFrame, folder: Path) -> list
 
 
 def _payload(experiment: Experiment, table: pl.DataFrame, folder: Path) -> list[str]:
-    start = defaults.clock_start(next(iter(experiment.variants.values())).gait)
+    start = overview.clock_start(experiment)
     return _save(payload(table, experiment.robot.name, start), folder)
 
 

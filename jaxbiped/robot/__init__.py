@@ -1,7 +1,8 @@
 """Robots: the record of a biped and the files it comes from."""
 
-from jaxbiped.robot.fields import Number, RobotFileError
-from jaxbiped.robot.load import load, numbers, presets
+from jaxbiped.robot.defaults import Defaults
+from jaxbiped.robot.fields import Number, RobotFileError, Setting, read_number
+from jaxbiped.robot.load import defaults, load, numbers, presets
 from jaxbiped.robot.params import (
     JOINT_AXES,
     JOINT_NAMES,
@@ -25,12 +26,16 @@ __all__ = [
     "LINK_NAMES",
     "RIGHT",
     "SIDE_NAMES",
+    "Defaults",
     "Links",
     "Number",
     "RobotFileError",
     "RobotParams",
     "Servo",
+    "Setting",
+    "defaults",
     "load",
     "numbers",
     "presets",
+    "read_number",
 ]

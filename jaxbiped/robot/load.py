@@ -1,5 +1,6 @@
 """Robot files: TOML in, `RobotParams` out, or an error that says which number is wrong."""
 
+import functools
 from collections.abc import Callable
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -11,7 +12,9 @@ import numpy as np
 
 from jaxbiped import checked
 from jaxbiped.checked import Quantity
+from jaxbiped.robot import defaults as beside
 from jaxbiped.robot import inertia as rigid
+from jaxbiped.robot.defaults import Defaults
 from jaxbiped.robot.fields import Number, RobotFileError, read_number
 from jaxbiped.robot.params import JOINT_NAMES, KNEE, LEG_LINK_NAMES, Links, RobotParams, Servo
 
@@ -91,6 +94,21 @@ def numbers(name_or_path: str | Path) -> list[Number]:
     return _build_from(name_or_path, lambda read: [n for n in read.values() if isinstance(n, Number)])
 
 
+def defaults(robot: str | RobotParams) -> Defaults:
+    """What the paper of a preset robot says beyond its body; nothing for one that walks like no preset.
+
+    Args:
+        robot: the robot, or the name of a preset.
+    """
+    name = robot if isinstance(robot, str) else robot.preset_name
+    return _defaults(name) if name in presets() else Defaults()
+
+
+@functools.cache
+def _defaults(preset: str) -> Defaults:
+    return beside.read(checked.read_toml(_file(preset), RobotFileError))
+
+
 def _build_from(name_or_path: str | Path, build: Callable[[dict[str, Any]], T]) -> T:
     """Read the file and build something of its checked numbers; every error names the file."""
     file = _file(name_or_path)
@@ -119,9 +137,11 @@ def _file(name_or_path: str | Path) -> Traversable:
 
 def _read_all(document: dict[str, Any]) -> dict[str, Any]:
     """Check the whole document; returns its numbers by dotted field name, `name` and `walks_like`."""
-    checked.refuse_unknown("", document, ("name", "walks_like", "trunk", "leg", *_SECTIONS), RobotFileError)
+    known = ("name", "walks_like", "trunk", "leg", *_SECTIONS, *beside.TABLES)
+    checked.refuse_unknown("", document, known, RobotFileError)
     read: dict[str, Any] = {"name": _name(document)}
-    read["walks_like"] = _walks_like(document, read["name"])
+    like = read["walks_like"] = _walks_like(document, read["name"])
+    beside.require_same(beside.read(document), defaults(like), like)
     trunk = _table(document, "trunk")
     if not trunk:
         raise RobotFileError("trunk: needs at least one body, as a table [trunk.NAME]")

@@ -1,11 +1,12 @@
 """Simulator: the only room that imports MuJoCo."""
 
 from jaxbiped.sim.model import build_model, build_spec, mjcf, write_mjcf
-from jaxbiped.sim.options import Options
+from jaxbiped.sim.options import Options, own_friction, own_options
 from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.scenario import Scenario, require_clear_start, require_swing_clears, swing_height
-from jaxbiped.sim.simulation import Sample, Simulation, State, Walk, prepare, rectangles_of, rollout
+from jaxbiped.sim.simulation import Simulation, prepare, rectangles_of, rollout
 from jaxbiped.sim.statistics import STATUS_TEXT, Statistics
+from jaxbiped.sim.tick import Sample, State, Walk
 
 __all__ = [
     "STATUS_TEXT",
@@ -20,6 +21,8 @@ __all__ = [
     "build_spec",
     "mjcf",
     "open_loop_references",
+    "own_friction",
+    "own_options",
     "prepare",
     "rectangles_of",
     "replay_c",

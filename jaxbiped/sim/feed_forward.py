@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbiped import runtime
-from jaxbiped.planner import Gait
+from jaxbiped.planner import Plan
 from jaxbiped.planner.feasibility import instant
 from jaxbiped.robot import RobotParams
 
@@ -40,13 +40,13 @@ def none() -> FeedForward:
     return FeedForward(jnp.zeros((2, 2, 6)), 1.0)
 
 
-def rows(gait: Gait, interval: float = 0.005) -> int:
+def rows(gait: Plan, interval: float = 0.005) -> int:
     """Rows of a table for a gait, also if it is tuned and lasts longer; whole batches, for others compile anew."""
     return _TOGETHER * (int(_LONGER * float(gait.duration) / interval + 2) // _TOGETHER + 1)
 
 
 @runtime.jit
-def plan(robot: RobotParams, gait: Gait, rows: int, interval: float = 0.005) -> FeedForward:
+def plan(robot: RobotParams, gait: Plan, rows: int, interval: float = 0.005) -> FeedForward:
     """Tabulate the plan's joint torques; the feet share the ground wrench by the ZMP."""
     times = jnp.arange(rows) * interval
     torque = jax.lax.map(lambda t: instant(robot, gait, t).torque, times, batch_size=_TOGETHER)

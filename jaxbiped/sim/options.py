@@ -4,6 +4,8 @@ import equinox as eqx
 
 from jaxbiped import checked
 from jaxbiped.checked import Quantity
+from jaxbiped.planner import FRICTION, Gait
+from jaxbiped.robot import RobotParams, defaults
 from jaxbiped.sim import plant
 from jaxbiped.sim.plant import PAYLOAD_MODELS
 
@@ -52,3 +54,14 @@ class Options(eqx.Module):
     def control_dt(self) -> float:
         """Control tick [s]."""
         return self.dt * self.control_every
+
+
+def own_options(robot: RobotParams, gait: Gait) -> Options:
+    """Options for a gait of which the robot's file says how its own paper simulates it, else the usual ones."""
+    said = defaults(robot).simulation(gait.name)
+    return Options(**{name: value for name, value in said.items() if name != "friction"})
+
+
+def own_friction(robot: RobotParams, gait: Gait) -> float:
+    """Friction coefficient of the floor on which the robot's own paper walks this gait, else the usual one."""
+    return defaults(robot).simulation(gait.name).get("friction", FRICTION)

@@ -29,7 +29,7 @@ from jaxbiped.sim.mjx_adapter import LEFT_FOOT, RIGHT_FOOT, TRUNK
 from jaxbiped.sim.options import COMPLIANT, Options
 from jaxbiped.sim.scenario import Scenario, SensorFaults
 from jaxbiped.sim.sensors import BOUNCE_PERIOD, Delay
-from jaxbiped.sim.simulation import Sample, Simulation, Walk, prepare, servo_reference
+from jaxbiped.sim.simulation import Simulation, prepare
 from jaxbiped.sim.statistics import (
     AIRBORNE,
     AIRBORNE_TIME,
@@ -44,6 +44,7 @@ from jaxbiped.sim.statistics import (
     Statistics,
     reach_margin,
 )
+from jaxbiped.sim.tick import Sample, Walk, servo_reference
 
 TOGETHER = 256
 """Control ticks whose support polygons are looked at together."""

@@ -82,7 +82,7 @@ def quick(monkeypatch):
     """Chunks made up instead of simulated; the names of those made."""
     made = []
 
-    def walk(one, chunk):
+    def walk(one, chunk, told=None):
         made.append(chunk.number)
         rows = np.arange(chunk.start, chunk.stop)
         numbers = {name: np.sin(rows) for name, column in one.outcomes.items() if column.kind is float}
@@ -110,7 +110,7 @@ def test_a_file_is_the_experiment_that_python_makes(tmp_path):
     params = robot.load("elkahlout")
     gait = planner.CosineGait.preset(params, 3)
     reflex = adapt.PayloadReflex.modified(params, gait, threshold=50, zmp_balanced=-0.03, settling_time=3)
-    start = defaults.clock_start(gait)
+    start = float(gait.clock_start)
     same = batch.Experiment(
         params,
         {"off": adapt.Controller(gait), "tuned": adapt.Controller(gait, reflex)},

@@ -123,9 +123,9 @@ def renewed(old: Command | None, *arguments: str) -> Command:
 
 
 def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+    with socket.socket() as door:
+        door.bind(("127.0.0.1", 0))
+        return door.getsockname()[1]
 
 
 def listens(port: int) -> bool:
@@ -319,13 +319,14 @@ def test_scheduler_that_never_answers_is_a_clear_error(
     monkeypatch: pytest.MonkeyPatch, listening: bool
 ) -> None:
     monkeypatch.setattr(workers, "CONNECT_S", 1)
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
+    with socket.socket() as door:
+        door.bind(("127.0.0.1", 0))
         if listening:  # and says nothing
-            one.listen()
-        address = f"tcp://127.0.0.1:{one.getsockname()[1]}"
+            door.listen()
+        address = f"tcp://127.0.0.1:{door.getsockname()[1]}"
         with pytest.raises(batch.WorkersError, match=f"scheduler '{address}' cannot be reached"):
-            next(workers.on_dask(kill_child.experiment(), kill_child.experiment().chunks, 2, address))
+            one = kill_child.experiment()
+            next(workers.on_dask(one, one.chunks, 2, address, lambda *_: None))
 
 
 def test_scheduler_without_workers_is_a_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -335,4 +336,4 @@ def test_scheduler_without_workers_is_a_clear_error(monkeypatch: pytest.MonkeyPa
         Cluster(()) as cluster,
         pytest.raises(batch.WorkersError, match="got none in 1 s, allowed: at least"),
     ):
-        next(workers.on_dask(one, one.chunks, 2, cluster.address))
+        next(workers.on_dask(one, one.chunks, 2, cluster.address, lambda *_: None))

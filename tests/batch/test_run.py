@@ -10,6 +10,7 @@ from pathlib import Path
 
 import equinox as eqx
 import jax
+import made_up
 import numpy as np
 import polars as pl
 import pytest
@@ -40,7 +41,7 @@ def quick(monkeypatch):
     """Chunks made up instead of walked; the names of those made."""
     made = []
 
-    def walk(one, chunk):
+    def walk(one, chunk, told=None):
         made.append(chunk.number)
         rows = np.arange(chunk.start, chunk.stop)
         outcome = {
@@ -99,6 +100,32 @@ def test_a_part_left_half_written_does_not_count(surena, quick, tmp_path):
     quick.clear()
     batch.run(one, tmp_path, workers=1)
     assert quick == [2] and table_bytes(tmp_path) == whole
+
+
+def test_progress_moves_inside_a_chunk(surena, monkeypatch, tmp_path):
+    """Half a chunk of eight is four walks' worth, which the time left knows of, and nothing once it is finished."""
+
+    def walk(one, chunk, told):
+        told(0.5)
+        return made_up.walk_chunk(one, chunk)
+
+    monkeypatch.setattr(workers, "walk_chunk", walk)
+    seen: list[batch.Progress] = []
+    batch.run(experiment(surena, rows=16), tmp_path, workers=1, progress=seen.append)
+    assert [(p.done, p.under_way) for p in seen] == [
+        (0, 0.0), (0, 4.0), (8, 0.0), (8, 4.0), (16, 0.0), (16, 4.0), (24, 0.0), (24, 4.0), (32, 0.0)
+    ]  # fmt: skip
+    left = [p.seconds_left for p in seen]
+    pairs = zip(left[2::2], left[3::2], strict=False)
+    assert left[0] is None and all((before or 0.0) > (within or 0.0) for before, within in pairs)
+
+
+def test_lanes_of_large_experiments_take_several_scenarios(surena):
+    """As many chunks as workers can share come first; a chunk never depends on the workers."""
+    for rows, chunk_rows, chunks in ((20, 8, 3), (64, 8, 8), (128, 16, 8), (1000, 32, 32)):
+        one = experiment(surena, rows=rows)
+        assert (one.lanes, one.chunk_rows, len(one.chunks)) == (8, chunk_rows, 2 * chunks)
+        assert [c.stop - c.start for c in one.chunks[:chunks]][:-1] == [chunk_rows] * (chunks - 1)
 
 
 def test_progress_counts_walks_failures_and_what_was_there(surena, quick, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import surena3_gaits
 
 from jaxbiped import robot
-from jaxbiped.planner import PolynomialGait, PolynomialParams, StartStop, at, polynomial_params
+from jaxbiped.planner import PolynomialGait, PolynomialParams, StartStop, at
 from jaxbiped.robot import LEFT, RIGHT
 
 KNOWN = (*surena3_gaits.NAMES, "preset")
@@ -47,7 +47,9 @@ def _random_params(rng: np.random.Generator) -> PolynomialParams:
 def batch() -> PolynomialParams:
     """Parameters of all gaits, stacked; float64."""
     rng = np.random.default_rng(0)
-    every = [surena3_gaits.params(name) for name in surena3_gaits.NAMES] + [polynomial_params("surena3")]
+    every = [surena3_gaits.params(name) for name in surena3_gaits.NAMES] + [
+        PolynomialGait.preset_params("surena3")
+    ]
     every += [_random_params(rng) for _ in range(RANDOM)]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
 

@@ -17,10 +17,8 @@ from jaxbiped.planner import (
     GaitError,
     PolynomialGait,
     constraints,
-    cosine_params,
     feasibility,
     known_infeasible,
-    polynomial_params,
     violations,
 )
 from jaxbiped.robot import JOINT_NAMES, KNEE, LEFT, RIGHT, SIDE_NAMES
@@ -47,7 +45,9 @@ def weaker(biped, limit: str, side: int, joint: str, value: float):
 
 
 def changed(**values):
-    return dataclasses.replace(polynomial_params("surena3"), **{k: jnp.asarray(v) for k, v in values.items()})
+    return dataclasses.replace(
+        PolynomialGait.preset_params("surena3"), **{k: jnp.asarray(v) for k, v in values.items()}
+    )
 
 
 def refusal(biped, params, n_steps=STEPS, **arguments) -> re.Match[str]:
@@ -164,7 +164,7 @@ def test_a_foot_beyond_reach_is_not_allowed(surena3):
 )
 def test_of_a_long_walk_the_start_the_stop_and_the_steps_between_count(surena3, monkeypatch, change):
     """As if every step were judged; where the steps repeat, any of them may be the one that is named."""
-    old = polynomial_params("surena3")
+    old = PolynomialGait.preset_params("surena3")
     ends = {k: jnp.asarray(v) for k, v in change.get("start_stop", {}).items()}
     params = changed(**{k: v for k, v in change.items() if k != "start_stop"})
     params = dataclasses.replace(params, start_stop=dataclasses.replace(old.start_stop, **ends))
@@ -196,7 +196,7 @@ def test_a_preset_that_says_so_is_refused_as_parameters_of_ones_own():
     with pytest.raises(
         GaitError, match=r"ZMP .* m outside the support polygon at t = .* on robot 'elkahlout'"
     ):
-        CosineGait.make(elkahlout, cosine_params(elkahlout), STEPS)
+        CosineGait.make(elkahlout, CosineGait.preset_params(elkahlout), STEPS)
 
 
 def test_a_preset_that_does_not_fit_the_robot_any_more_is_refused(surena3):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxbiped import robot
-from jaxbiped.planner import DOUBLE_SUPPORT, SINGLE_SUPPORT, CosineGait, CosineParams, at, cosine_params
+from jaxbiped.planner import DOUBLE_SUPPORT, SINGLE_SUPPORT, CosineGait, CosineParams, at
 from jaxbiped.robot import LEFT, RIGHT
 
 RANDOM = 200
@@ -26,7 +26,7 @@ def batch(x64):
     rng = np.random.default_rng(1)
     lower = dict(t_ss=0.5, t_ds=0.2, b_s=0.0, w=-0.15, w_of=0.1, h_b=0.4, h_s=0.01, x_ref=-0.1, y_ref=-0.05)
     upper = dict(t_ss=2.0, t_ds=1.5, b_s=0.12, w=0.15, w_of=0.2, h_b=0.6, h_s=0.1, x_ref=0.1, y_ref=0.05)
-    every = [cosine_params("elkahlout")]
+    every = [CosineGait.preset_params("elkahlout")]
     for _ in range(RANDOM):
         random = {name: rng.uniform(lower[name], upper[name]) for name in lower}
         every.append(CosineParams(**random, T_ini=rng.uniform(0.4, 2.0), T_end=rng.uniform(0.4, 2.0)))
@@ -244,7 +244,7 @@ def test_phase_is_that_of_a_plain_time_table(n_steps, first_swing, batch):
 
 
 def test_preset_is_section_3_2_of_the_thesis():
-    p = cosine_params("elkahlout")
+    p = CosineGait.preset_params("elkahlout")
     stated = dict(t_ss=1.4, t_ds=1.0, b_s=0.08, w=0.13, w_of=0.11, h_b=0.5, h_s=0.03, x_ref=-0.09, y_ref=0.0)
     for name, value in stated.items():
         assert float(getattr(p, name)) == np.float32(value), name

@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 from polynomial_walks import NOT_OPTIMISED
 
 from jaxbiped import robot
-from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params, feasibility
+from jaxbiped.planner import CosineGait, PolynomialGait, feasibility
 
 STEP = 1e-6
 
@@ -55,7 +55,7 @@ def test_polynomial_gait(x64):
 
 
 def test_cosine_gait(x64):
-    biped, params = robot.load("elkahlout"), cosine_params("elkahlout")
+    biped, params = robot.load("elkahlout"), CosineGait.preset_params("elkahlout")
     times = jnp.asarray((np.arange(17) + 0.43) / 17 * (1.2 + 2 * 2.4 + 1.2))
 
     def report(p):

@@ -18,8 +18,6 @@ from jaxbiped.planner import (
     GaitError,
     PolynomialGait,
     TaskSpace,
-    cosine_params,
-    polynomial_params,
 )
 from jaxbiped.planner.constraints import require_reach
 from jaxbiped.planner.targets import Timing, step_phase
@@ -89,7 +87,7 @@ def elkahlout():
 
 
 def _cosine(**changes) -> CosineParams:
-    return CosineParams(**{**vars(cosine_params("elkahlout")), **changes})
+    return CosineParams(**{**vars(CosineGait.preset_params("elkahlout")), **changes})
 
 
 @pytest.mark.parametrize(("name", "value", "words"), POLYNOMIAL)
@@ -212,14 +210,14 @@ def test_first_swing(preset):
 def test_presets_of_unknown_robots():
     with pytest.raises(
         GaitError,
-        match=r"^preset gait: got robot 'atlas', allowed: surena3, elkahlout; otherwise add walks_like = ",
+        match=r"^preset gait: got robot 'atlas', allowed: elkahlout, surena3; otherwise add walks_like = ",
     ):
-        polynomial_params("atlas")
+        PolynomialGait.preset_params("atlas")
     with pytest.raises(
         GaitError,
         match=r"^preset gait: got robot 'atlas', allowed: elkahlout, surena3; otherwise add walks_like = ",
     ):
-        cosine_params("atlas")
+        CosineGait.preset_params("atlas")
 
 
 def test_what_is_traced_is_not_judged(surena3):

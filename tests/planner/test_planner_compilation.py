@@ -11,7 +11,6 @@ from jaxbiped.planner import (
     CosineGait,
     PolynomialGait,
     at,
-    cosine_params,
     feasibility,
     sample_times,
     violations,
@@ -20,7 +19,7 @@ from jaxbiped.planner import (
 _at = jax.jit(lambda gait, times: jax.vmap(lambda t: at(gait, t))(times))
 CASES = {
     "polynomial": (PolynomialGait, "surena3", lambda: surena3_gaits.params("C")),
-    "cosine": (CosineGait, "elkahlout", lambda: cosine_params("elkahlout")),
+    "cosine": (CosineGait, "elkahlout", lambda: CosineGait.preset_params("elkahlout")),
 }
 
 

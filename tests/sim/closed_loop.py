@@ -10,11 +10,10 @@ import numpy as np
 
 from jaxbiped import robot
 from jaxbiped.adapt import Controller
-from jaxbiped.planner import CosineGait, PolynomialGait, StartStop, cosine_params, polynomial_params
-from jaxbiped.sim import Options, Scenario, Simulation, Walk, prepare
+from jaxbiped.planner import CosineGait, PolynomialGait, StartStop, own_gait
+from jaxbiped.sim import Options, Scenario, Simulation, Walk, own_options, prepare
 
 N_STEPS = 4
-CONTROL_EVERY = {"surena3": 4, "elkahlout": 1}
 FIRM = Path(__file__).with_name("firm_elkahlout.toml")
 FOREVER = 100.0
 STANDS_FOR = 0.5
@@ -41,8 +40,9 @@ def firm(name: str) -> robot.RobotParams:
 
 def setup(name: str, n_steps: int = N_STEPS, **options: Any) -> Setup:
     params = firm(name)
-    gait = {"surena3": PolynomialGait, "elkahlout": CosineGait}[name].preset(params, n_steps)
-    chosen = {"control_every": CONTROL_EVERY[name], "trace_every": 20 // CONTROL_EVERY[name], **options}
+    gait = own_gait(params, n_steps)
+    every = own_options(params, gait).control_every
+    chosen = {"control_every": every, "trace_every": 20 // every, **options}
     return Setup(params, gait, Options(**chosen), float(gait.duration) + STANDS_FOR)
 
 
@@ -51,10 +51,10 @@ def standing(one: Setup) -> Any:
 
     Its later steps, which are never taken, would tip the robot over.
     """
-    if isinstance(one.gait, CosineGait):
-        p = changed(cosine_params(one.params.name), T_ini=FOREVER, w=0.0, b_s=0.0)
+    if one.gait.name == "cosine":
+        p = changed(CosineGait.preset_params(one.params.name), T_ini=FOREVER, w=0.0, b_s=0.0)
         return CosineGait.make(one.params, p, one.gait.n_steps, allow_infeasible=True)
-    p = polynomial_params(one.params.name)
+    p = PolynomialGait.preset_params(one.params.name)
     x, z = float(p.start_stop.x_rest_start), float(p.z_min)
     ends = {f: -x if f.startswith("x_s_") else x for f in StartStop.__dataclass_fields__}
     ends = StartStop(**{**ends, "v_first": 0.0, "v_last": 0.0})

@@ -8,8 +8,8 @@ import pytest
 from closed_loop import Setup, lane, run, setup, standing
 
 from jaxbiped.sim import Scenario
-from jaxbiped.sim.simulation import Sample, Walk
 from jaxbiped.sim.statistics import Statistics
+from jaxbiped.sim.tick import Sample, Walk
 
 LIFT = (0.0, 0.0, 5000.0)
 """Six times the robot's weight, upward [N]."""

@@ -10,7 +10,7 @@ import pytest
 from closed_loop import changed, setup
 
 from jaxbiped.adapt import Controller
-from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params, polynomial_params
+from jaxbiped.planner import GAITS
 from jaxbiped.sim import Scenario, prepare
 
 TUNED = {"surena3": ("D_s", "y_m"), "elkahlout": ("b_s", "w")}
@@ -22,10 +22,8 @@ def score(name: str, duration: float) -> Any:
     """Two gait parameters -> mean squared tilt [deg2] and mean forward place of the pelvis [m]."""
     one = setup(name)
     simulation, flat = prepare(one.params, Controller(one.gait), one.options), Scenario.flat()
-    polynomial = name == "surena3"
-    kind, nominal = (
-        (PolynomialGait, polynomial_params(name)) if polynomial else (CosineGait, cosine_params(name))
-    )
+    kind = GAITS[one.gait.name]
+    nominal = kind.preset_params(name)
 
     def value(tuned: jax.Array) -> jax.Array:
         params = changed(nominal, **dict(zip(TUNED[name], tuned, strict=True)))

@@ -10,8 +10,8 @@ from c_mujoco import PRESETS, as_arrays, flat, load, oracle
 
 from jaxbiped.robot import Servo
 from jaxbiped.sim import mjx_adapter, plant, sensors, servo, statistics
+from jaxbiped.sim.compliant import Physics, physics_tick
 from jaxbiped.sim.servo import Reference
-from jaxbiped.sim.simulation import Physics, _physics_tick
 
 SHAPE = (2, 6)
 DT, TICKS = 5e-4, 50
@@ -116,7 +116,7 @@ def fly(world, start, reference):
     """Configurations of a robot in the air whose servos hold a posture, tick by tick."""
 
     def tick(state, _):
-        state, _ = _physics_tick(world, DT, reference, state)
+        state, _ = physics_tick(world, DT, reference, state)
         return state, (state.qpos, state.qvel)
 
     return jax.lax.scan(tick, start, None, length=TICKS)[1]

@@ -1,5 +1,7 @@
 """One Simulation: what is compiled, and that starting and ticking by hand is a walk."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -44,6 +46,47 @@ def test_one_program_for_every_duration_and_robot_of_a_kind(surena, compilations
     three = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), Scenario.flat(1))
     surena.run_many(three, 0.1)
     assert len(compilations) > before  # the listener listens
+
+
+def test_one_program_for_every_duration_with_a_trace(surena, compilations):
+    """Rows are made in segments, and cut off where the walk ends."""
+    traced = prepare(surena.robot, surena.controller, dataclasses.replace(COARSE, trace_every=5))
+    long = traced.run(Scenario.flat(1), 0.9).trace
+    first = len(compilations)
+    assert long is not None and len(long.time) == 45
+    np.testing.assert_allclose(long.time, 0.02 * np.arange(1, 46), rtol=1e-5)
+    for duration, rows in ((0.3, 15), (1.3, 65), (0.5, 25)):
+        walk = jax.block_until_ready(traced.run(Scenario.flat(1), duration))
+        assert len(walk.trace.time) == rows
+        np.testing.assert_allclose(walk.statistics.end_time, duration, rtol=1e-5)
+        np.testing.assert_array_equal(walk.trace.qpos[:15], long.qpos[:15])
+    assert len(compilations) <= first + 4  # cutting the first lane out, for every length of trace
+
+
+def test_lanes_that_have_finished_take_the_next_scenario(surena):
+    """Seven walks in two lanes, some of which fall, are those of seven lanes."""
+    pushed = [
+        Scenario.flat(1).with_push((0.0, force, 0.0), 0.1, 0.2) for force in (0, 3e3, 20, 3e3, 40, 60, 0)
+    ]
+    scenarios = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pushed)
+    heard: list[float] = []
+    many = surena.run_many(scenarios, 1.4)
+    few = surena.run_many(scenarios, 1.4, heard.append, lanes=2)
+    status = np.asarray(few.statistics.status)
+    assert (status != 0).tolist() == [False, True, False, True, False, False, False]
+    for a, b in zip(jax.tree.leaves(few), jax.tree.leaves(many), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-4)
+    assert heard == sorted(heard) and heard[-1] == 1.0
+
+
+def test_no_segment_is_begun_when_all_have_fallen(surena):
+    """Ten minutes of a robot that lies on the ground."""
+    scenarios = jax.tree.map(
+        lambda leaf: jnp.stack([leaf] * 2), Scenario.flat(1).with_push((0.0, 4e3, 0.0), 0.01, 0.2)
+    )
+    heard: list[float] = []
+    walks = surena.run_many(scenarios, 600.0, heard.append)
+    assert np.all(np.asarray(walks.statistics.end_time) < 2.0) and len(heard) <= 4 and heard[-1] == 1.0
 
 
 def test_ticks_by_hand_are_a_walk(surena):

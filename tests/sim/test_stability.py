@@ -25,8 +25,8 @@ from jaxbiped.sim import (
     stability,
     statistics,
 )
+from jaxbiped.sim.compliant import Physics, physics_tick
 from jaxbiped.sim.servo import Reference
-from jaxbiped.sim.simulation import Physics, _physics_tick
 
 SINKAGE = 1.2e-4
 FLAT = Scenario.flat(1)
@@ -64,7 +64,7 @@ def fall(world: plant.Plant, state: Physics, angle: Any, dt: float, ticks: int) 
     reference = Reference(angle, jnp.zeros((2, 6)), jnp.zeros((2, 6)))
 
     def tick(state: Physics, _: None) -> Any:
-        state, _seen = _physics_tick(world, dt, reference, state)
+        state, _seen = physics_tick(world, dt, reference, state)
         return state, state.qpos[7:].reshape(2, 6)
 
     return jax.lax.scan(tick, state, None, length=ticks)[1]

@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from jaxbiped import batch, robot, runtime
+from jaxbiped import batch, robot, runtime, sim
 from jaxbiped.adapt import Controller, Landing, PayloadReflex
-from jaxbiped.batch import Normal, Uniform, defaults, part
-from jaxbiped.planner import CosineGait, PolynomialGait, cosine_params
+from jaxbiped.batch import Normal, Uniform, part
+from jaxbiped.planner import CosineGait, own_gait
 from jaxbiped.score import judge
 from jaxbiped.sim import Scenario, prepare
 
@@ -29,10 +29,10 @@ def thesis_walks(gait: Any, cases: list[tuple[float, float]], variant: str, dura
     """Verdicts, statistics and reflexes of the thesis' robot under loads (kg, s on the thesis' clock)."""
     params = robot.load("elkahlout")
     controller = Controller(gait, getattr(PayloadReflex, variant)(params, gait))
-    floor = Scenario.flat(1).with_friction(defaults.floor_friction(params, gait))
-    start = defaults.clock_start(gait)
+    floor = Scenario.flat(1).with_friction(sim.own_friction(params, gait))
+    start = float(gait.clock_start)
     scenarios = [floor.with_payload(load, start + at) if load else floor for load, at in cases]
-    options = defaults.simulation_options(params, gait)
+    options = sim.own_options(params, gait)
     stacked = jax.tree.map(lambda *leaf: jnp.stack(leaf), *scenarios)
     walks = prepare(params, controller, options).run_many(stacked, duration)
     assert walks.controller is not None
@@ -50,13 +50,13 @@ def test_a_load_of_15_kg_at_1_2_s_tilts_the_trunk_as_little_as_in_the_thesis(var
     print(f"{variant}: pitch {pitch}, roll {roll} deg")
     assert pitch[0] < 3.0
     assert reflex.reflexes.tolist() == [1, 0, 0] or reflex.reflexes.tolist() == [1, 1, 0]
-    assert 0.025 < reflex.trigger_time[0] - defaults.clock_start(gait) - 1.2 < 0.04
+    assert 0.025 < reflex.trigger_time[0] - float(gait.clock_start) - 1.2 < 0.04
 
 
 def test_the_unloaded_robot_walks_from_the_thesis_start_in_the_middle_of_the_pattern():
     """There the pattern begins at its full speed: here within a hundredth of a second."""
     params = robot.load("elkahlout")
-    sudden = dataclasses.replace(cosine_params(params), T_ini=jnp.asarray(0.01))
+    sudden = dataclasses.replace(CosineGait.preset_params(params), T_ini=jnp.asarray(0.01))
     gait = CosineGait.make(params, sudden, STEPS, allow_infeasible=True)
     verdict, stats, reflex = thesis_walks(gait, [(0.0, 0.0)], "modified", float(gait.duration) + 0.5)
     assert verdict.status.tolist() == [0] and reflex.reflexes.tolist() == [0]
@@ -66,13 +66,13 @@ def test_the_unloaded_robot_walks_from_the_thesis_start_in_the_middle_of_the_pat
 def unloaded(name: str, n: int, seed: int, variants: tuple[str, ...]) -> pl.DataFrame:
     """Walks of random robots on random floors, without a load, with every variant of the reflex."""
     params = robot.load(name)
-    gait = {"elkahlout": CosineGait, "surena3": PolynomialGait}[name].preset(params, STEPS)
+    gait = own_gait(params, STEPS)
     landing = Landing.repaired() if name == "surena3" else None
     controllers = {
         variant: Controller(gait, landing, getattr(PayloadReflex, variant)(params, gait))
         for variant in variants
     }
-    floor = defaults.floor_friction(params, gait)
+    floor = sim.own_friction(params, gait)
     scenarios = batch.draw(
         n,
         seed,
@@ -84,7 +84,7 @@ def unloaded(name: str, n: int, seed: int, variants: tuple[str, ...]) -> pl.Data
         gain_scale=Uniform(0.9, 1.1),
         sinkage_m=Uniform(1e-4, 2e-4),
     )
-    options = defaults.simulation_options(params, gait)
+    options = sim.own_options(params, gait)
     one = batch.Experiment(params, controllers, scenarios, options, duration=float(gait.duration) + 0.5)
     return pl.concat([part.walk_chunk(one, chunk) for chunk in one.chunks])
 

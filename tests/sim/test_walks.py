@@ -13,7 +13,6 @@ from jaxbiped.planner import (
     SINGLE_SUPPORT,
     PolynomialGait,
     TaskSpace,
-    polynomial_params,
     support,
 )
 from jaxbiped.sim import Scenario, rollout, statistics
@@ -110,7 +109,7 @@ def _listen(event: str, duration_secs: float, **_: Any) -> None:
 def variants(one: Any) -> list[tuple[Any, Any, Scenario]]:
     """Other scenarios, gait parameters and masses."""
     flat, gait, params = Scenario.flat(), one.gait, one.params
-    polynomial = polynomial_params("surena3")
+    polynomial = PolynomialGait.preset_params("surena3")
     slower = PolynomialGait.make(params, changed(polynomial, D_s=0.24, y_m=-0.02), gait.n_steps)
     heavier = eqx.tree_at(lambda p: p.links.mass, params, params.links.mass * 1.05)
     return [

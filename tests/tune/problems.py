@@ -16,7 +16,6 @@ PAYLOAD = (
     "payload.x_ref_gain",
 )
 LANDING = ("landing.T_mod", "landing.descent_speed", "landing.delta_x_scale", "landing.release_share")
-THESIS = jb.sim.Options(feed_forward=False, control_every=1, payload_model="thesis")
 
 
 def payload(
@@ -33,8 +32,9 @@ def payload(
     variant = Controller(gait, PayloadReflex.modified(robot, gait))
     loads: dict[str, Any] = {"load_kg": Uniform(3.0, heaviest), "load_time_s": Uniform(1.5, 3.5)}
     scenarios = jb.batch.draw(n, seed, **loads, friction=friction)
+    options = jb.sim.own_options(robot, gait)
     return Problem.of(
-        jb.batch.Experiment(robot, {"modified": variant}, scenarios, THESIS, duration=duration), names
+        jb.batch.Experiment(robot, {"modified": variant}, scenarios, options, duration=duration), names
     )
 
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from problems import landing, payload
 
-from jaxbiped.batch.defaults import THESIS_FRICTION
+from jaxbiped import robot
 from jaxbiped.tune import central, forward
 
-MADE = {"surena3": landing, "elkahlout": partial(payload, friction=THESIS_FRICTION)}
+FRICTION = robot.defaults("elkahlout").simulation("cosine")["friction"]
+MADE = {"surena3": landing, "elkahlout": partial(payload, friction=FRICTION)}
 STEPS = (1e-3, 1e-4, 1e-5)
 """Of central differences, as shares of each tunable."""
 NOT_MET = {("elkahlout", 16.0): "2.27 % at 1e-4: reflex_time, whose thousandth is a fifth of a tick"}

@@ -1,0 +1,154 @@
+"""Whole walks by segments of a fixed number of control ticks, driven from the host.
+
+One compiled program serves every duration, traced or not, in as many lanes as there are: it goes on by a segment, and a
+walk whose time is over, or whose robot has failed, stays as it is until the segment ends. Then it makes way for the
+next scenario, and when all have finished, no further segment is begun.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from jaxbiped import runtime
+from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk
+
+Told = Callable[[float], None]
+"""Is told which fraction of something is done."""
+SEGMENT = 0.5
+"""Length of a segment [s]."""
+MAX_ROWS = 25
+"""Rows of a trace in a segment, where a trace is asked for."""
+
+
+def run(
+    simulation: PureSimulation,
+    scenarios: Scenario,
+    duration: float,
+    told: Told | None = None,
+    lanes: int | None = None,
+) -> Walk:
+    """Walk all scenarios for `duration` [s]; see `Simulation.run_many`, which checks them."""
+    n, ticks = len(scenarios.ground.sinkage), simulation.ticks(duration)
+    told = told or (lambda _: None)
+    if simulation.options.trace_every:
+        return _traced(simulation, scenarios, ticks, told)
+    lanes = n if lanes is None else min(lanes, n)
+    if lanes == n:
+        return _at_once(simulation, scenarios, ticks, told)
+    return _in_turn(simulation, scenarios, ticks, told, lanes)
+
+
+def _at_once(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told) -> Walk:
+    """A lane for every scenario."""
+    states, walked = _begin(simulation, scenarios, _count(ticks)), 0
+    stopped = ticks <= 0
+    while not stopped:
+        states, stops = _segment(simulation, states)
+        walked += _ticks(simulation)
+        stopped = bool(np.all(stops))
+        told(1.0 if stopped else walked / ticks)
+    return _walk(states)
+
+
+def _in_turn(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, lanes: int) -> Walk:
+    """Fewer lanes than scenarios: a lane that has finished takes the next one."""
+    n = len(scenarios.ground.sinkage)
+    holds, waiting = np.arange(lanes), lanes
+    walks: list[Walk | None] = [None] * n
+    states = _begin(simulation, _take(scenarios, holds), _count(ticks))
+    while any(walk is None for walk in walks):
+        states, stops = _segment(simulation, states)
+        done = np.flatnonzero(np.asarray(stops) & (holds < n))
+        if not done.size:
+            continue
+        finished = jax.tree.map(np.asarray, _walk(states))
+        for lane in done:
+            walks[holds[lane]] = jax.tree.map(lambda leaf, lane=lane: leaf[lane], finished)
+        holds[done] = np.minimum(np.arange(waiting, waiting + done.size), n)
+        waiting += done.size
+        fresh = np.zeros(lanes, bool)
+        fresh[done] = True
+        coming = _take(scenarios, np.minimum(holds, n - 1))
+        states = _renewed(simulation, states, jnp.asarray(fresh), coming, _count(ticks))
+        told(sum(walk is not None for walk in walks) / n)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *walks)
+
+
+def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told) -> Walk:
+    """A lane for every scenario, and the rows of their traces, the last of which may stand still."""
+    rows = ticks // simulation.options.trace_every
+    states = _begin(simulation, scenarios, _count(rows * simulation.options.trace_every))
+    parts: list[Any] = []
+    while sum(part.time.shape[1] for part in parts) < rows or not parts:
+        states, part = _traced_segment(simulation, states)
+        parts.append(jax.tree.map(np.asarray, part))
+        told(min(1.0, len(parts) * MAX_ROWS / max(rows, 1)))
+    trace = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1)[:, :rows], *parts)  # on the host
+    return _walk(states, trace)
+
+
+def _walk(states: State, trace: Sample | None = None) -> Walk:
+    return Walk(states.physics.statistics, trace, states.controller)
+
+
+def _ticks(simulation: PureSimulation) -> int:
+    """Control ticks of a segment."""
+    return max(1, round(SEGMENT / simulation.options.control_dt))
+
+
+def _count(ticks: int) -> Int[Array, ""]:
+    return jnp.asarray(ticks, jnp.int32)
+
+
+def _take(scenarios: Scenario, rows: np.ndarray) -> Scenario:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], scenarios)
+
+
+@runtime.jit
+def _begin(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""]) -> State:
+    return jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
+
+
+@runtime.jit
+def _segment(simulation: PureSimulation, states: State) -> tuple[State, Bool[Array, " n"]]:
+    """A segment later, and which walks have stopped."""
+
+    def further(state: State) -> tuple[State, Bool[Array, ""]]:
+        state = jax.lax.fori_loop(0, _ticks(simulation), lambda _, s: simulation.tick(s)[0], state)
+        return state, state.stopped
+
+    return jax.vmap(further)(states)
+
+
+@runtime.jit
+def _traced_segment(simulation: PureSimulation, states: State) -> tuple[State, Sample]:
+    """A segment of MAX_ROWS rows later, and the rows."""
+
+    def row(state: State, _: None) -> tuple[State, Sample]:
+        quiet = simulation.options.trace_every - 1
+        state = jax.lax.fori_loop(0, quiet, lambda _, s: simulation.tick(s)[0], state)
+        return simulation.tick(state)
+
+    return jax.vmap(lambda state: jax.lax.scan(row, state, None, length=MAX_ROWS))(states)
+
+
+@runtime.jit
+def _renewed(
+    simulation: PureSimulation,
+    states: State,
+    fresh: Bool[Array, " lanes"],
+    scenarios: Scenario,
+    ticks: Int[Array, ""],
+) -> State:
+    """The states with new walks begun in some lanes."""
+
+    def begun(old: Array, new: Array) -> Array:
+        return jnp.where(jnp.reshape(fresh, (-1, *[1] * (old.ndim - 1))), new, old)
+
+    new = jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
+    return jax.tree.map(begun, states, new)
