@@ -27,6 +27,7 @@ from jaxbiped.commands import (
     payload,
     replay,
     report_page,
+    run,
     tune,
     walk,
 )
@@ -38,6 +39,7 @@ COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
     "walk": (walk.Walk, walk.run),
     "payload": (payload.Payload, payload.run),
     "obstacles": (obstacles.Obstacles, obstacles.run),
+    "run": (run.Run, run.run),
     "tune": (tune.Tune, tune.run),
     "replay": (replay.Replay, replay.run),
     "report": (report_page.Report, report_page.run),
@@ -46,7 +48,7 @@ COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
 }
 """The record of a command's arguments, and what carries it out."""
 _HELP = ("-h", "--help")
-_PLACES = {"replay": ("--table", "--row"), "report": ("--table",)}
+_PLACES = {"replay": ("--table", "--row"), "report": ("--table",), "run": ("--file",)}
 """Arguments that are known by their place, not by their name."""
 _REPEATED = ("--obstacle", "--payload", "--variant")
 _RENAMED = {"--arm": "--variant"}

@@ -41,7 +41,7 @@ import numpy as np
 
 import jaxbiped
 from jaxbiped import checked, files, planner, robot, runtime
-from jaxbiped.adapt import Controller
+from jaxbiped.adapt import Controller, variants
 from jaxbiped.batch.summary import wilson
 from jaxbiped.checked import Quantity, Refusal
 from jaxbiped.commands import choices
@@ -270,8 +270,8 @@ def set_up(name: str, variant: str) -> tuple[robot.RobotParams, Controller, Opti
     gait = planner.own_gait(params, STEPS[name])
     controller = Controller(
         gait,
-        choices.stage_of("landing", landing, params, gait),
-        choices.stage_of("payload", payload, params, gait),
+        variants.stage_of("landing", landing, params, gait),
+        variants.stage_of("payload", payload, params, gait),
     )
     return params, controller, own_options(params, gait) if options == THESIS else Options()
 

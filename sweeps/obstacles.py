@@ -1,7 +1,7 @@
 """surena3 over obstacles and holes from -5 to +5 cm, single and as in khadiv's experiment, by off, paper, repaired.
 
-A single pad lies under step 4. khadiv's experiment has three obstacles in one walk, under steps 2, 4 and 6: here of
-every height at once, and of 3, 2 and 4 cm. Figures 10 to 13 of the paper are drawn for --replay rows.
+The walks are said in `obstacles.toml`: single obstacles under step 4, and three in one walk. Figures 10 to 13 of the
+paper are drawn for --replay rows.
 
     python sweeps/obstacles.py --out runs/obstacle_sweep
 """
@@ -13,38 +13,13 @@ from pathlib import Path
 import polars as pl
 
 import jaxbiped as jb
-from jaxbiped.adapt import Controller, Landing
 from jaxbiped.batch import height_column
 from jaxbiped.commands import replay
 from jaxbiped.report import grids, overview, page
 
-STEPS, SINGLE, SEVERAL = 8, 4, (2, 4, 6)
-"""Of the walk; the one with the single pad; those of khadiv's experiment."""
-HEIGHTS = tuple(round(0.005 * i, 3) for i in range(-10, 11))
-"""[m]"""
-KHADIV = (0.03, 0.02, 0.04)
-"""Heights of khadiv's three obstacles [m]; assumed, the paper's figures do not say."""
-
-
-def scenarios() -> pl.DataFrame:
-    """Single pads, then three of the same height, then khadiv's."""
-    names = [height_column(step) for step in SEVERAL]
-    single = pl.DataFrame({height_column(SINGLE): HEIGHTS})
-    several = pl.DataFrame({name: [h for h in HEIGHTS if h] for name in names})
-    khadiv = pl.DataFrame(dict(zip(names, ([h] for h in KHADIV), strict=True)))
-    return pl.concat([single, several, khadiv], how="diagonal").fill_null(0.0).select(names)
-
-
-def experiment() -> jb.batch.Experiment:
-    """All of them with every variant."""
-    robot = jb.robot.load("surena3")
-    gait = jb.planner.PolynomialGait.preset(robot, STEPS)
-    variants = {
-        "off": Controller(gait),
-        "paper": Controller(gait, Landing.paper()),
-        "repaired": Controller(gait, Landing.repaired()),
-    }
-    return jb.batch.Experiment(robot, variants, scenarios())
+EXPERIMENT = Path(__file__).with_suffix(".toml")
+SEVERAL, MIDDLE = (2, 4, 6), 4
+"""Steps with an obstacle; the one that has the single ones."""
 
 
 def main() -> None:
@@ -59,10 +34,10 @@ def main() -> None:
         "--replay", type=int, nargs="*", help="rows to walk again; default: khadiv's, repaired"
     )
     arguments = parser.parse_args()
-    one, began = experiment(), time.perf_counter()
+    one, began = jb.batch.read_experiment(EXPERIMENT), time.perf_counter()
     table = jb.batch.run(one, arguments.out, arguments.workers, None, arguments.overwrite, jb.batch.show())
     took = time.perf_counter() - began
-    singles, force = len(HEIGHTS), pl.max_horizontal("peak_force_left_N", "peak_force_right_N")
+    force = pl.max_horizontal("peak_force_left_N", "peak_force_right_N")
     shown = table.with_columns(peak_force_N=force.round(0)).select(
         "variant",
         *(height_column(step) for step in SEVERAL),
@@ -73,12 +48,13 @@ def main() -> None:
     )
     with pl.Config(tbl_rows=-1, tbl_cols=-1, tbl_width_chars=120):
         print(shown)
+    several = pl.col(height_column(SEVERAL[0])) != 0.0
     for name, rows in {
-        "single": pl.col("scenario") < singles,
-        "three": pl.col("scenario") >= singles,
+        "single": ~several,
+        "three": several,
     }.items():
         figure = grids.cells_figure(
-            table.filter(rows), height_column(SINGLE), f"surena3: {name} pads, by height under step {SINGLE}"
+            table.filter(rows), height_column(MIDDLE), f"surena3: {name} pads, by height under step {MIDDLE}"
         )
         figure.savefig(arguments.out / f"{name}.png", dpi=110)
     page.write_page(

@@ -1,7 +1,7 @@
 """The thesis' Tables 4.1, 4.2, 4.3 in full: 48 loading times x 6 loads, without reflex, original and modified reflex.
 
-On Table 4.1 elkahlout's toe and heel were calibrated, on 4.2 and 4.3 the floor's grip, one number; where the failures
-of the last two lie is a prediction.
+The walks are said in `payload_tables.toml`. On Table 4.1 elkahlout's toe and heel were calibrated, on 4.2 and 4.3 the
+floor's grip, one number; where the failures of the last two lie is a prediction.
 
     python sweeps/payload_tables.py --out runs/payload_tables
 """
@@ -13,31 +13,9 @@ from pathlib import Path
 import polars as pl
 
 import jaxbiped as jb
-from jaxbiped.adapt import Controller, PayloadReflex
 from jaxbiped.report import grids, overview, page, tables
 
-LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
-"""[kg]"""
-TIMES = tuple(round(0.1 * i, 1) for i in range(1, 49))
-"""The thesis' time [s]; its clock starts T_ini after the walk does."""
-STEPS = 7
-"""Of the walk: two whole ones are left after the recovery from the last loading."""
-
-
-def experiment() -> jb.batch.Experiment:
-    """The thesis' walks."""
-    robot = jb.robot.load("elkahlout")
-    gait = jb.planner.CosineGait.preset(robot, STEPS)
-    variants = {
-        "off": Controller(gait),
-        "original": Controller(gait, PayloadReflex.original(robot, gait)),
-        "modified": Controller(gait, PayloadReflex.modified(robot, gait)),
-    }
-    start = float(gait.clock_start)
-    scenarios = jb.batch.grid(
-        load_kg=LOADS, load_time_s=[start + t for t in TIMES], friction=[jb.sim.own_friction(robot, gait)]
-    )
-    return jb.batch.Experiment(robot, variants, scenarios, jb.sim.own_options(robot, gait))
+EXPERIMENT = Path(__file__).with_suffix(".toml")
 
 
 def write_csv(walks: pl.DataFrame, start: float, file: Path) -> None:
@@ -57,7 +35,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int)
     parser.add_argument("--overwrite", action="store_true")
     arguments = parser.parse_args()
-    one, began = experiment(), time.perf_counter()
+    one, began = jb.batch.read_experiment(EXPERIMENT), time.perf_counter()
     table = jb.batch.run(one, arguments.out, arguments.workers, None, arguments.overwrite, jb.batch.show())
     took, start = time.perf_counter() - began, overview.clock_start(one)
     for variant, number in overview.THESIS.items():

@@ -173,14 +173,15 @@ def _parameter(controller: Controller, t: Tunable) -> Array:
 
 def gait_fields(gait: Any) -> list[str]:
     """Dotted names of a gait's parameters that are one number."""
-    return _numbers_in(gait.params, "")
+    return numbers_in(gait.params)
 
 
-def _numbers_in(record: Any, prefix: str) -> list[str]:
+def numbers_in(record: Any, prefix: str = "") -> list[str]:
+    """Dotted names of what is one number in a record, and in records in it."""
     names: list[str] = []
     for name, value in vars(record).items():
         if isinstance(value, eqx.Module):
-            names += _numbers_in(value, f"{prefix}{name}.")
+            names += numbers_in(value, f"{prefix}{name}.")
         elif eqx.is_array(value) and value.ndim == 0:
             names.append(f"{prefix}{name}")
     return names

@@ -1,8 +1,10 @@
 """The batch tester: experiments, workers, and a results table that survives anything."""
 
-from jaxbiped.batch import summary
+from jaxbiped.batch import recipes, summary
 from jaxbiped.batch.draws import Choice, Normal, Uniform, draw, grid
 from jaxbiped.batch.experiment import Experiment
+from jaxbiped.batch.experiment_file import read as read_experiment
+from jaxbiped.batch.experiment_writer import write as write_experiment
 from jaxbiped.batch.inputs import INPUTS, NEVER, height_column, scenarios_of, steps_of
 from jaxbiped.batch.progress import Progress, show, waiting
 from jaxbiped.batch.run import Plan, plan, run
@@ -25,6 +27,8 @@ __all__ = [
     "height_column",
     "open_table",
     "plan",
+    "read_experiment",
+    "recipes",
     "require_address",
     "run",
     "scenarios_of",
@@ -32,4 +36,5 @@ __all__ = [
     "steps_of",
     "summary",
     "waiting",
+    "write_experiment",
 ]

@@ -13,7 +13,7 @@ import polars as pl
 from jaxbiped.adapt import Controller, Outcome
 from jaxbiped.batch import inputs, records
 from jaxbiped.batch.columns import outcomes
-from jaxbiped.checked import Refusal, whole
+from jaxbiped.checked import Refusal, Word, refuse_unknown, whole
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
@@ -28,6 +28,8 @@ LANE_STEP = 8
 """Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""
 MAX_TURNS, MIN_CHUNKS = 4, 8
 """How many scenarios a lane of a chunk takes one after the other, if so many chunks are left for every variant."""
+PAGES = Word(("overview", "payload", "obstacles"), "what is drawn of the results, see `report.pages`")
+RULES = Word(("papers",), "success by elkahlout's rule where the weight changes suddenly, else by khadiv's")
 
 
 _KINDS = {"robot": RobotParams, "variants": Mapping, "scenarios": pl.DataFrame, "options": Options}
@@ -50,12 +52,16 @@ class Experiment:
     """One row for each scenario, see `inputs`; from `grid`, `draw` or by hand."""
     options: Options = field(default_factory=Options)
     """Of the simulation; noise and delay are switched on where a scenario has some."""
-    duration: float | None = None
-    """How long every walk is simulated [s]; None: as long as the variant needs, see `durations`."""
+    duration: float | Mapping[str, float] | None = None
+    """How long every walk is simulated [s], or those of each variant; None: as long as each needs, see `durations`."""
     seed: int | np.integer = 0
     """Of the sensors' noise."""
     batch: int | np.integer | None = None
     """Walks at once; None: up to MAX_LANES."""
+    robot_file: str = ""
+    """File that the robot was read from; empty if it is a preset, or in no file. Only for experiment files."""
+    pages: tuple[str, ...] = ("overview",)
+    """Names of PAGES that `jaxbiped run` draws; they decide nothing else."""
 
     judge: InitVar[bool] = True
     """Whether obstacles that nobody can walk over are refused; not where an experiment was run before."""
@@ -76,8 +82,9 @@ class Experiment:
                 raise ValueError(
                     f"variants: got a {type(self.variants[name]).__name__} as '{name}', allowed: a Controller"
                 )
-        if self.duration is not None:
-            object.__setattr__(self, "duration", DURATION.check("duration", self.duration))
+        object.__setattr__(self, "duration", self._checked_duration())
+        for page in self.pages:
+            PAGES.check("pages", page)
         if self.batch is not None:
             object.__setattr__(self, "batch", whole("batch", self.batch, 1, MAX_BATCH))
         object.__setattr__(self, "seed", whole("seed", self.seed, 0, 2**31 - 1))
@@ -91,6 +98,17 @@ class Experiment:
             require_stable_dt(self.robot, self.options.dt, float(least), float(strongest))  # type: ignore[arg-type]
         for name, variant in self.variants.items() if judge else ():
             self._require_walkable(name, variant)
+
+    def _checked_duration(self) -> float | dict[str, float] | None:
+        """How long walks are simulated [s], every number within its range."""
+        given = self.duration
+        if given is None or not isinstance(given, Mapping):
+            return None if given is None else DURATION.check("duration", given)
+        refuse_unknown("duration.", given, self.variants)
+        missing = [name for name in self.variants if name not in given]
+        if missing:
+            raise ValueError(f"duration.{missing[0]}: missing, allowed: {DURATION.allowed}")
+        return {name: DURATION.check(f"duration.{name}", given[name]) for name in self.variants}
 
     def _require_walkable(self, name: str, variant: Controller) -> None:
         """Refuse obstacles that the swing foot runs into, or that it stands in at the start."""
@@ -136,6 +154,8 @@ class Experiment:
     @cached_property
     def durations(self) -> dict[str, float]:
         """How long every variant walks [s]: the plan, and a recovery for every change of weight."""
+        if isinstance(self.duration, Mapping):
+            return dict(self.duration)
         if self.duration is not None:
             return dict.fromkeys(self.variants, self.duration)
         changes = inputs.changes_of_weight(self.table)
@@ -219,11 +239,11 @@ class Experiment:
             variants,
             scenarios,
             records.from_json(resolved["options"]),
+            duration=resolved["durations_s"],
             batch=resolved["lanes"],
             judge=False,
         )
-        # Cached properties: as they were. Until format 2 a chunk had as many rows as lanes.
-        made.__dict__["durations"] = dict(resolved["durations_s"])
+        # A cached property, as it was: until format 2 a chunk had as many rows as lanes.
         made.__dict__["chunk_rows"] = resolved.get("chunk_rows", resolved["lanes"])
         return made
 

@@ -88,6 +88,8 @@ _SWITCH_COLUMNS = {
     **{f"{name}_stuck": STUCK for name in _SWITCHES.values()},
     **{f"{name}_gap_m": GAP for name in _SWITCHES.values()},
 }
+COLUMNS = f"{', '.join([*INPUTS, SEED])}, step_K_height_m, switch_SIDE_CORNER_stuck, switch_SIDE_CORNER_gap_m"
+"""All columns, in words."""
 
 
 def height_column(step: int) -> str:
@@ -108,6 +110,11 @@ def declared(columns: Sequence[str]) -> dict[str, Input]:
     return {**INPUTS, **heights, **switches}
 
 
+def nearest_column(name: str) -> str:
+    """Return `; did you mean '...'?` if a column is like this name, else nothing."""
+    return nearest(name, [*INPUTS, SEED, *_SWITCH_COLUMNS])
+
+
 def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
     """Check a scenario table and add every column it leaves out, in one order.
 
@@ -123,11 +130,7 @@ def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
     known = declared(scenarios.columns)
     for name in scenarios.columns:
         if name not in known and name != SEED:
-            every = [*known, SEED]
-            raise ValueError(
-                f"scenarios: got column '{name}', allowed: {', '.join(every)}, step_K_height_m, "
-                f"switch_SIDE_CORNER_stuck, switch_SIDE_CORNER_gap_m{nearest(name, [*every, *_SWITCH_COLUMNS])}"
-            )
+            raise ValueError(f"scenarios: got column '{name}', allowed: {COLUMNS}{nearest_column(name)}")
     columns = [
         _column(scenarios, name, one) if name in scenarios.columns else pl.lit(one.default).alias(name)
         for name, one in known.items()

@@ -1,6 +1,7 @@
 """A folder that holds an experiment and what has been simulated of it, and survives anything.
 
     experiment.json     the resolved experiment, its key, versions, device
+    experiment.toml     the same as a file for a person, see `experiment_file`; nothing here is read from it
     scenarios.parquet   the scenarios, with every input
     parts/KEY-NUMBER.parquet    one for every finished chunk
     table.parquet       all rows, once every chunk is there
@@ -31,12 +32,14 @@ import numpy as np
 import polars as pl
 
 from jaxbiped import files
-from jaxbiped.batch import records
+from jaxbiped.batch import experiment_writer, records
 from jaxbiped.batch.columns import FAILED, IDENTITY, OUTCOMES
 from jaxbiped.batch.experiment import Chunk, Experiment, table_hash
 from jaxbiped.score import STATUS_TEXT
 
-EXPERIMENT, SCENARIOS, TABLE, PARTS = "experiment.json", "scenarios.parquet", "table.parquet", "parts"
+EXPERIMENT, SCENARIOS, TABLE, PARTS = "experiment.json", experiment_writer.SCENARIOS, "table.parquet", "parts"
+RESOLVED, RESOLVED_MARK = "experiment.toml", "# Resolved experiment "
+"""The experiment as a file for a person, and how such a file of a batch begins."""
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars")
 FORMAT = 3
 """Of the folder."""
@@ -151,6 +154,9 @@ class Store:
                 "machine": _machine(),
             }
             _write(self.folder / EXPERIMENT, json.dumps(said, indent=1))
+        if not os.path.lexists(self.folder / RESOLVED):
+            header = f"{RESOLVED_MARK}{self.key[:16]}: jaxbiped run {RESOLVED} --out FOLDER runs it again."
+            _write(self.folder / RESOLVED, experiment_writer.text(self.experiment, header))
 
     def part(self, chunk: Chunk) -> Path:
         """File of a chunk."""
@@ -273,6 +279,8 @@ class Store:
         for part in (self.folder / PARTS).glob("*.parquet"):
             if _PART.fullmatch(part.name):
                 part.unlink(missing_ok=True)
+        if _begins_with(self.folder / RESOLVED, RESOLVED_MARK):
+            (self.folder / RESOLVED).unlink()
         for name in (SCENARIOS, EXPERIMENT):
             (self.folder / name).unlink(missing_ok=True)
 
@@ -446,6 +454,14 @@ def _frame(content: bytes) -> pl.DataFrame:
 def _holds(file: Path, content: bytes) -> bool:
     try:
         return file.read_bytes() == content
+    except OSError:
+        return False
+
+
+def _begins_with(file: Path, mark: str) -> bool:
+    try:
+        with file.open("rb") as stream:
+            return stream.read(len(mark)) == mark.encode()
     except OSError:
         return False
 

@@ -1,21 +1,22 @@
 """What the commands that walk batches share: their arguments, their run, their tables and pages."""
 
+import contextlib
 import math
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import polars as pl
 
-from jaxbiped import adapt, batch, robot
-from jaxbiped.batch import columns, progress, store, summary
+from jaxbiped import batch
+from jaxbiped.batch import columns, progress, recipes, store, summary
 from jaxbiped.batch.experiment import MAX_BATCH
 from jaxbiped.batch.run import MAX_WORKERS
-from jaxbiped.checked import nearest
-from jaxbiped.commands.choices import OFF, load_variant, stage_of
+from jaxbiped.checked import Refusal
 from jaxbiped.commands.common import InputError, make_writable, require_folder, require_free, say, whole
+from jaxbiped.planner.constraints import OR_ALLOW
 
 WORKERS_HELP = "Processes; 1 walks in this one. Default: one for each core, or for each GPU."
 SCHEDULER_HELP = "Address of a Dask scheduler (tcp://host:port) whose workers are to walk instead."
@@ -32,8 +33,8 @@ class WorkersLost(RuntimeError):
 
 
 @runtime_checkable
-class Command(Protocol):
-    """Arguments that every command has that runs a batch."""
+class Place(Protocol):
+    """Arguments that say where and how a batch is run."""
 
     @property
     def out(self) -> Path: ...  # noqa: D102
@@ -42,11 +43,17 @@ class Command(Protocol):
     @property
     def scheduler(self) -> str | None: ...  # noqa: D102
     @property
+    def overwrite(self) -> bool: ...  # noqa: D102
+
+
+@runtime_checkable
+class Command(Place, Protocol):
+    """Arguments of a command that runs a batch of its own."""
+
+    @property
     def batch(self) -> int | None: ...  # noqa: D102
     @property
     def seed(self) -> int: ...  # noqa: D102
-    @property
-    def overwrite(self) -> bool: ...  # noqa: D102
 
 
 def check(command: Command) -> None:
@@ -55,11 +62,16 @@ def check(command: Command) -> None:
     Raises:
         InputError: naming the argument, what was got and what is allowed.
     """
-    if command.workers is not None:
-        whole("--workers", command.workers, 1, MAX_WORKERS)
     if command.batch is not None:
         whole("--batch", command.batch, 1, MAX_BATCH)
     whole("--seed", command.seed, 0, 2**31 - 1)
+    check_place(command)
+
+
+def check_place(command: Place) -> None:
+    """Refuse workers that cannot be, and a folder that cannot be written, without any work; as `check`."""
+    if command.workers is not None:
+        whole("--workers", command.workers, 1, MAX_WORKERS)
     if command.scheduler is not None:
         try:
             batch.require_address(command.scheduler)
@@ -70,41 +82,13 @@ def check(command: Command) -> None:
 
 def numbers(argument: str, values: Iterable[float], unit: str, low: float, high: float) -> list[float]:
     """Values of an argument, each once, each within its range."""
-    found = list(values)
-    if not found:
-        raise InputError(f"{argument}: got no value, allowed: one or more from {low:g} to {high:g} {unit}")
-    for value in found:
-        if not (math.isfinite(value) and low <= value <= high):
-            raise InputError(f"{argument}: got {value:g} {unit}, allowed: {low:g} to {high:g} {unit}")
-    if len(set(found)) < len(found):
-        raise InputError(f"{argument}: got a value twice, allowed: each once")
-    return found
+    try:
+        return recipes.numbers(argument, values, unit, low, high)
+    except Refusal as error:
+        raise InputError(str(error)) from None
 
 
-def variants(
-    names: Iterable[str], stage: str, params: robot.RobotParams, gait: Any, allow_infeasible: bool = False
-) -> dict[str, adapt.Controller]:
-    """Controllers with one stage by the names of its variants, or by TOML files."""
-    allowed = (OFF, *adapt.STAGES[stage].variants)
-    found: dict[str, adapt.Controller] = {}
-    for name in names:
-        if name in found:
-            raise InputError(f"--variant: got '{name}' twice, allowed: each once")
-        if name.endswith(".toml"):
-            found[name] = load_variant("--variant", Path(name), params, gait, allow_infeasible)
-        elif name in allowed:
-            found[name] = adapt.Controller(gait, stage_of(stage, name, params, gait))
-        else:
-            raise InputError(
-                f"--variant: got '{name}', allowed: {', '.join(allowed)}, or a file that ends in .toml"
-                f"{nearest(name, allowed)}"
-            )
-    if not found:
-        raise InputError(f"--variant: got none, allowed: {', '.join(allowed)}, or a file that ends in .toml")
-    return found
-
-
-def walk(experiment: batch.Experiment, command: Command, figures: Iterable[str] = ()) -> pl.DataFrame:
+def walk(experiment: batch.Experiment, command: Place, figures: Iterable[str] = ()) -> pl.DataFrame:
     """Run an experiment for a command: with progress, and with refusals that name the arguments.
 
     Args:
@@ -132,7 +116,7 @@ def walk(experiment: batch.Experiment, command: Command, figures: Iterable[str] 
         ) from None
 
 
-def claim(experiment: batch.Experiment, command: Command, figures: Iterable[str] = ()) -> None:
+def claim(experiment: batch.Experiment, command: Place, figures: Iterable[str] = ()) -> None:
     """Refuse a folder that holds something else; nothing is touched."""
     there = store.Store(command.out, experiment, command.overwrite)
     try:
@@ -144,13 +128,20 @@ def claim(experiment: batch.Experiment, command: Command, figures: Iterable[str]
 
 def experiment(*given: Any, **named: Any) -> batch.Experiment:
     """An experiment, or a refusal."""
-    try:
+    with naming_arguments():
         return batch.Experiment(*given, **named)
+
+
+@contextlib.contextmanager
+def naming_arguments() -> Iterator[None]:
+    """Turn a refusal of the batch room into one in the words of the command line."""
+    try:
+        yield
     except ValueError as error:
         raise InputError(_as_argument(str(error))) from None
 
 
-def dry_run(experiment: batch.Experiment, command: Command, figures: Iterable[str] = ()) -> dict[str, Any]:
+def dry_run(experiment: batch.Experiment, command: Place, figures: Iterable[str] = ()) -> dict[str, Any]:
     """Say what a run would do, or refuse what it would refuse; touches nothing."""
     claim(experiment, command, figures)
     try:
@@ -204,8 +195,17 @@ def number_or_none(value: float | None, digits: int = 4) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, digits)
 
 
+_ARGUMENTS = (
+    *("out", "workers", "batch", "seed", "scheduler", "robot", "gait", "steps", "step"),
+    *("loads", "times", "heights", "friction"),
+)
+_RENAMED = {**{name: f"--{name}" for name in _ARGUMENTS}, "variants": "--variant"}
+"""Names of the batch room and its recipes, and the arguments that stand for them."""
+
+
 def _as_argument(text: str) -> str:
     """A refusal of the batch room in the words of the command line."""
-    name, colon, rest = text.partition(":")
-    known = {"out", "workers", "batch", "seed", "scheduler"}
-    return f"--{name}{colon}{rest}" if name in known else text
+    name, colon, rest = text.replace(OR_ALLOW, "; or say --allow-infeasible").partition(":")
+    names = name.split(", ")
+    known = all(part in _RENAMED for part in names)
+    return f"{', '.join(_RENAMED[part] for part in names)}{colon}{rest}" if known else f"{name}{colon}{rest}"

@@ -7,14 +7,13 @@ from typing import Annotated, Any
 import polars as pl
 from tyro.conf import arg
 
-from jaxbiped import batch, sim
+from jaxbiped import batch
+from jaxbiped.batch.recipes import HEIGHTS
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import ALLOW_HELP, GAIT_NAMES, LANDINGS, gait_name, make_gait
-from jaxbiped.commands.common import InputError, draw, load_robot
+from jaxbiped.commands.choices import ALLOW_HELP, GAIT_NAMES, LANDINGS
+from jaxbiped.commands.common import draw
 
 FIGURES = ("obstacles.png",)
-DEEPEST, HIGHEST = -0.2, 0.2
-"""Of pads [m]."""
 HEIGHTS_HELP = "Heights of the pad in m, negative for a hole. Example: 0.02 -0.02"
 VARIANT_HELP = "Variants of the landing adaptation: off, paper, repaired, or files of tuned variants (.toml)."
 
@@ -28,7 +27,7 @@ class Obstacles:
     gait: Annotated[str | None, arg(metavar=GAIT_NAMES)] = None
     """Default: the gait of the robot's own paper."""
     variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = LANDINGS
-    heights: Annotated[tuple[float, ...], arg(help=HEIGHTS_HELP)] = tuple(0.01 * cm for cm in range(-5, 6))
+    heights: Annotated[tuple[float, ...], arg(help=HEIGHTS_HELP)] = HEIGHTS
     step: tuple[int, ...] = (4,)
     """Steps under whose footholds the pads are, 0 for the first; each has a pad of the same height."""
     steps: int = 8
@@ -65,21 +64,18 @@ def run(command: Obstacles) -> dict[str, Any]:
 
 def set_up(command: Obstacles) -> batch.Experiment:
     """The experiment."""
-    params = load_robot("--robot", command.robot)
-    heights = batches.numbers("--heights", command.heights, "m", DEEPEST, HIGHEST)
-    allow = command.allow_infeasible
-    gait = make_gait(params, gait_name(command.gait, params), command.steps, allow)
-    if not command.step or len(set(command.step)) < len(command.step):
-        raise InputError(f"--step: got {command.step}, allowed: one or more steps, each once")
-    for step in command.step:
-        if not 0 <= step < command.steps:
-            raise InputError(
-                f"--step: got {step}, allowed: 0 to {command.steps - 1} with --steps {command.steps}"
-            )
-    variants = batches.variants(command.variant, "landing", params, gait, allow)
-    scenarios = pl.DataFrame({batch.height_column(step): heights for step in command.step})
-    options = sim.own_options(params, gait)
-    return batches.experiment(params, variants, scenarios, options, seed=command.seed, batch=command.batch)
+    with batches.naming_arguments():
+        return batch.recipes.obstacles(
+            command.robot,
+            command.gait,
+            command.variant,
+            command.heights,
+            command.step,
+            command.steps,
+            command.allow_infeasible,
+            command.seed,
+            command.batch,
+        )
 
 
 def cells(table: pl.DataFrame, step: int) -> list[dict[str, Any]]:
@@ -118,7 +114,6 @@ def _lines(table: pl.DataFrame, step: int) -> list[str]:
 
 
 def _draw(table: pl.DataFrame, name: str, step: int) -> dict[str, Any]:
-    from jaxbiped.report import grids
+    from jaxbiped.report import pages
 
-    what = f"{name} over an unknown pad under step {step}"
-    return {"obstacles": grids.cells_figure(table, batch.height_column(step), what)}
+    return pages.obstacles(table, name, step)

@@ -1,6 +1,5 @@
 """`jaxbiped payload`: loads by loading times, with every variant of the reflex; the thesis' tables in the small."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,22 +7,13 @@ from typing import Annotated, Any
 import polars as pl
 from tyro.conf import arg
 
-from jaxbiped import batch, sim
+from jaxbiped import batch
+from jaxbiped.batch.recipes import LOADS, TIMES
 from jaxbiped.commands import batches
-from jaxbiped.commands.choices import (
-    ALLOW_HELP,
-    GAIT_NAMES,
-    gait_name,
-    make_gait,
-)
-from jaxbiped.commands.common import InputError, draw, load_robot
-from jaxbiped.sim.scenario import RANGES
+from jaxbiped.commands.choices import ALLOW_HELP, GAIT_NAMES
+from jaxbiped.commands.common import draw
 
 FIGURES = ("payload_success.png", "payload_pitch.png")
-LATEST = 60.0
-"""Of loading times [s]."""
-STEPS_AFTER = 4
-"""Steps planned after the one of the last loading: the rest of it, the one after the recovery, and two whole ones."""
 LOADS_HELP = "Masses of the load in kg. Example: 2.5 5"
 TIMES_HELP = (
     "When it is put on, in s on the gait's own clock: the thesis' time, which begins T_ini after the start, "
@@ -43,8 +33,8 @@ class Payload:
     gait: Annotated[str | None, arg(metavar=GAIT_NAMES)] = None
     """Default: the gait of the robot's own paper."""
     variant: Annotated[tuple[str, ...], arg(help=VARIANT_HELP)] = ("off", "original", "modified")
-    loads: Annotated[tuple[float, ...], arg(help=LOADS_HELP)] = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
-    times: Annotated[tuple[float, ...], arg(help=TIMES_HELP)] = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4)
+    loads: Annotated[tuple[float, ...], arg(help=LOADS_HELP)] = LOADS
+    times: Annotated[tuple[float, ...], arg(help=TIMES_HELP)] = TIMES
     friction: float | None = None
     """Of the floor. Default: 0.8; for elkahlout's cosine walk that of the thesis' experiments, which is slippery."""
     steps: int | None = None
@@ -74,36 +64,27 @@ def run(command: Payload) -> dict[str, Any]:
     table = batches.walk(experiment, command, FIGURES)
     print("\n".join(_ticks(table, start)))
     print("\n".join([*batches.rates(table), *batches.again(table, out)]), flush=True)
-    files = draw(lambda _: _draw(table, experiment.robot.name, start), out)
+    files = draw(lambda _: _figures(table, experiment, start), out)
     print(f"table.parquet and {len(files)} figures in {out}")
     return {"cells": cells(table, start), "table": str(out / "table.parquet"), "files": files}
 
 
 def set_up(command: Payload) -> tuple[batch.Experiment, float]:
     """The experiment, and when the clock of its times starts [s]."""
-    params = load_robot("--robot", command.robot)
-    loads = batches.numbers("--loads", command.loads, "kg", 0.0, float(params.total_mass))
-    times = batches.numbers("--times", command.times, "s", 0.0, LATEST)
-    name = gait_name(command.gait, params)
-    gait = make_gait(params, name, 1, allow_infeasible=True)  # only its clock is read
-    since_liftoff = max(times) + float(gait.clock_start) - float(gait.timing.first_liftoff)
-    last = max(0, math.floor(since_liftoff / float(gait.timing.T_c)))
-    steps = last + 1 + STEPS_AFTER if command.steps is None else command.steps
-    gait = make_gait(params, name, steps, command.allow_infeasible)
-    start = float(gait.clock_start)
-    if max(times) + start > float(gait.duration):
-        raise InputError(
-            f"--times: got {max(times):g} s, allowed: up to {float(gait.duration) - start:.4g} s with {steps} steps"
+    with batches.naming_arguments():
+        experiment = batch.recipes.payload(
+            command.robot,
+            command.gait,
+            command.variant,
+            command.loads,
+            command.times,
+            command.friction,
+            command.steps,
+            command.allow_infeasible,
+            command.seed,
+            command.batch,
         )
-    variants = batches.variants(command.variant, "payload", params, gait, command.allow_infeasible)
-    options: sim.Options = sim.own_options(params, gait)
-    friction = sim.own_friction(params, gait) if command.friction is None else command.friction
-    (friction,) = batches.numbers(
-        "--friction", (friction,), "", RANGES["friction"].low, RANGES["friction"].high
-    )
-    scenarios = batch.grid(load_kg=loads, load_time_s=[start + time for time in times], friction=[friction])
-    made = batches.experiment(params, variants, scenarios, options, seed=command.seed, batch=command.batch)
-    return made, start
+    return experiment, float(next(iter(experiment.variants.values())).gait.clock_start)
 
 
 def cells(table: pl.DataFrame, start: float) -> list[dict[str, Any]]:
@@ -129,12 +110,7 @@ def _ticks(table: pl.DataFrame, start: float) -> list[str]:
     return [tables.tick_table(walks, start) for walks in by_variant if (walks["load_kg"] > 0.0).any()]
 
 
-def _draw(table: pl.DataFrame, name: str, start: float) -> dict[str, Any]:
-    from jaxbiped.report import grids
+def _figures(table: pl.DataFrame, experiment: batch.Experiment, start: float) -> dict[str, Any]:
+    from jaxbiped.report import pages
 
-    what = f"{name}: loads put on while it walks"
-    both = {"x": "load_kg", "y": "load_time_s", "offset_s": start}
-    return {
-        "payload_success": grids.heat_map(table, title=what, **both),
-        "payload_pitch": grids.heat_map(table, title=what, value="peak_pitch_deg", **both),
-    }
+    return pages.payload(table, experiment.robot.name, start)

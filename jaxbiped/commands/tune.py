@@ -12,6 +12,7 @@ from tyro.conf import arg
 
 from jaxbiped import adapt, batch, files, planner, sim, tune
 from jaxbiped.adapt import tunables
+from jaxbiped.adapt.variants import stage_of
 from jaxbiped.batch import Choice, Uniform
 from jaxbiped.checked import nearest
 from jaxbiped.commands import batches
@@ -23,7 +24,6 @@ from jaxbiped.commands.choices import (
     gait_name,
     load_variant,
     make_gait,
-    stage_of,
     variant_tables,
 )
 from jaxbiped.commands.common import (

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxbiped import adapt, checked, robot, score, sim
+from jaxbiped.adapt.variants import stage_of
 from jaxbiped.commands.choices import (
     MODIFIED,
     OFF,
@@ -18,7 +19,6 @@ from jaxbiped.commands.choices import (
     gait_name,
     load_variant,
     make_gait,
-    stage_of,
 )
 from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears

@@ -271,7 +271,7 @@ def test_the_umask_decides_over_permissions(surena, made_up, tmp_path, umask):
     finally:
         os.umask(before)
     files = [file for file in (tmp_path / "run").rglob("*") if file.is_file()]
-    assert len(files) == 9
+    assert len(files) == 10
     assert {stat.S_IMODE(file.stat().st_mode) for file in files} == {0o666 & ~umask}
 
 

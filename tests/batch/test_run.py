@@ -183,7 +183,7 @@ def test_full_disk_is_a_clear_error_and_finished_parts_stay(surena, quick, tmp_p
 
     def full(a, b):
         calls.append(b)
-        if len(calls) == 6:  # experiment, scenarios, three parts, then no more space
+        if len(calls) == 7:  # experiment twice, scenarios, three parts, then no more space
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         real(a, b)
 
