@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -76,9 +77,10 @@ class Controller(eqx.Module):
         return ControllerState(sensed.time, states, signals), targets
 
     def outcome(self, state: ControllerState) -> dict[str, Array]:
-        """Outcome columns of all stages, at the end of a walk."""
+        """Outcome columns of all stages, at the end of a walk, which may have been taken to NumPy."""
+        states = jax.tree.map(jnp.asarray, state.stages)
         return {
             name: value
             for stage in self.stages
-            for name, value in stage.outcome(state.stages[stage.name]).items()
+            for name, value in stage.outcome(states[stage.name]).items()
         }
