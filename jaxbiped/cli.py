@@ -85,7 +85,7 @@ def main(args: list[str] | None = None) -> int:
     except OSError as error:  # the output cannot be written, or whoever read it has gone
         if not isinstance(error, BrokenPipeError):
             _complain(InputError(f"{error.filename or 'output'}: {error.strerror or error}"), FAILED)
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
         return FAILED
     return OK
 

@@ -52,9 +52,10 @@ def imported_modules(tree: ast.AST, module: str, is_package: bool) -> Iterator[t
         elif isinstance(node, ast.ImportFrom):
             base = _absolute(node, module, is_package)
             yield from ((f"{base}.{alias.name}", node.lineno) for alias in node.names)
-        elif isinstance(node, ast.Call) and _name(node.func) in {"import_module", "__import__"}:
-            if node.args and isinstance(node.args[0], ast.Constant):
-                yield str(node.args[0].value), node.lineno
+        elif isinstance(node, ast.Call) and _name(node.func) in {"import_module", "__import__"} and node.args:
+            yield from (
+                (str(arg.value), node.lineno) for arg in node.args[:1] if isinstance(arg, ast.Constant)
+            )
 
 
 def _absolute(node: ast.ImportFrom, module: str, is_package: bool) -> str:

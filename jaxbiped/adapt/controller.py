@@ -80,7 +80,5 @@ class Controller(eqx.Module):
         """Outcome columns of all stages, at the end of a walk, which may have been taken to NumPy."""
         states = jax.tree.map(jnp.asarray, state.stages)
         return {
-            name: value
-            for stage in self.stages
-            for name, value in stage.outcome(states[stage.name]).items()
+            name: value for stage in self.stages for name, value in stage.outcome(states[stage.name]).items()
         }

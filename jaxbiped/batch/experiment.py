@@ -68,20 +68,7 @@ class Experiment:
 
     def __post_init__(self, judge: bool) -> None:
         """Refuse what cannot be simulated."""
-        for name, kind in _KINDS.items():
-            if not isinstance(getattr(self, name), kind):
-                raise ValueError(
-                    f"{name}: got a {type(getattr(self, name)).__name__}, allowed: a {kind.__name__}"
-                )
-        if not self.variants:
-            raise ValueError("variants: got none, allowed: at least one")
-        for name in self.variants:
-            if not isinstance(name, str) or not name or not name.isprintable():
-                raise ValueError(f"variants: got the name {name!r}, allowed: a text on one line")
-            if not isinstance(self.variants[name], Controller):
-                raise ValueError(
-                    f"variants: got a {type(self.variants[name]).__name__} as '{name}', allowed: a Controller"
-                )
+        self._require_kinds()
         object.__setattr__(self, "duration", self._checked_duration())
         for page in self.pages:
             PAGES.check("pages", page)
@@ -98,6 +85,23 @@ class Experiment:
             require_stable_dt(self.robot, self.options.dt, float(least), float(strongest))  # type: ignore[arg-type]
         for name, variant in self.variants.items() if judge else ():
             self._require_walkable(name, variant)
+
+    def _require_kinds(self) -> None:
+        """Check that the parts are of their kinds, and the variants have names."""
+        for name, kind in _KINDS.items():
+            if not isinstance(getattr(self, name), kind):
+                raise ValueError(
+                    f"{name}: got a {type(getattr(self, name)).__name__}, allowed: a {kind.__name__}"
+                )
+        if not self.variants:
+            raise ValueError("variants: got none, allowed: at least one")
+        for name in self.variants:
+            if not isinstance(name, str) or not name or not name.isprintable():
+                raise ValueError(f"variants: got the name {name!r}, allowed: a text on one line")
+            if not isinstance(self.variants[name], Controller):
+                raise ValueError(
+                    f"variants: got a {type(self.variants[name]).__name__} as '{name}', allowed: a Controller"
+                )
 
     def _checked_duration(self) -> float | dict[str, float] | None:
         """How long walks are simulated [s], every number within its range."""

@@ -30,7 +30,7 @@ STEPS_AFTER = 4
 """Steps planned after the one of the last loading: the rest of it, the one after the recovery, and two whole ones."""
 
 
-def payload(
+def payload(  # noqa: PLR0913
     robot: RobotParams | str | Path = "elkahlout",
     gait: str | None = None,
     variants: Iterable[str] = ("off", "original", "modified"),
@@ -75,7 +75,7 @@ def payload(
     return _experiment(params, file, planned, "payload", variants, scenarios, allow_infeasible, seed, batch)
 
 
-def obstacles(
+def obstacles(  # noqa: PLR0913
     robot: RobotParams | str | Path = "surena3",
     gait: str | None = None,
     variants: Iterable[str] = ("off", "paper", "repaired"),
@@ -169,7 +169,7 @@ def _steps_until(time: float, gait: Any) -> int:
     return max(0, math.floor(since_liftoff / float(gait.timing.T_c))) + 1 + STEPS_AFTER
 
 
-def _experiment(
+def _experiment(  # noqa: PLR0913
     params: RobotParams,
     file: str,
     gait: Any,

@@ -384,14 +384,18 @@ def read_part(
     for name, values in {**expected, **{name: inputs[name] for name in inputs.columns}}.items():
         if name not in frame.columns or not frame[name].equals(pl.Series(name, values), check_dtypes=True):
             raise DamagedError(f"its column '{name}' is not that of chunk {chunk.number}")
+    _require_outcome(frame, {*IDENTITY, *inputs.columns, *outcomes})
+    return frame
+
+
+def _require_outcome(frame: pl.DataFrame, allowed: Collection[str]) -> None:
     for name, dtype in (("success", pl.Boolean), ("status", pl.String)):
         if frame.schema.get(name) != dtype or frame[name].null_count():
             raise DamagedError(f"its column '{name}' is missing, or not all of it is there")
     if odd := set(frame["status"]) - set(STATUS_TEXT):
         raise DamagedError(f"it has the status '{odd.pop()}'")
-    if odd := set(frame.columns) - {*IDENTITY, *inputs.columns, *outcomes}:
+    if odd := set(frame.columns) - {*allowed}:
         raise DamagedError(f"it has the column '{odd.pop()}'")
-    return frame
 
 
 def sealed(frame: pl.DataFrame, identity: dict[str, Any]) -> bytes:

@@ -457,7 +457,7 @@ tick; then `asked` is by how much the legs reach the targets and whether they do
 
 
 @runtime.jit
-def _control(
+def _control(  # noqa: PLR0913
     robot: RobotParams,
     controller: Controller,
     table: FeedForward,

@@ -1,5 +1,6 @@
 """Kill -9 of workers, schedulers and whole commands at random moments: the table is the one made in one go."""
 
+import contextlib
 import os
 import random
 import signal
@@ -61,10 +62,8 @@ class Command:
 
     def signal(self, number: int = signal.SIGKILL) -> None:
         """To the whole process group."""
-        try:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, number)
-        except ProcessLookupError:
-            pass
 
     def end(self, timeout: float = LIMIT_S) -> tuple[int, str, str]:
         """Wait for the end; exit status, output, errors."""

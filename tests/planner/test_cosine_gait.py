@@ -93,10 +93,9 @@ def _thesis(p: dict[str, float], t: float) -> np.ndarray:
     else:
         rise = 0.0
     Z_r = -p["h_b"] + rise  # 3.5
+    rise = 0.0
     if t_ds / 2 <= t < t_ds / 2 + t_ss:
         rise = h_s / 2 * (1 - np.cos((t - t_ds / 2) * 2 * np.pi / t_ss))  # erratum: t_ds / 2, as in 3.1
-    else:
-        rise = 0.0
     Z_l = -p["h_b"] + rise  # 3.6
     return np.array([[X_l, Y_l, Z_l], [X_r, Y_r, Z_r]])
 

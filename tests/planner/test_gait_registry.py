@@ -17,7 +17,7 @@ from jaxbiped.planner import GAITS, CosineGait, CosineParams, Gait, GaitError, P
 
 
 def test_gaits_by_name():
-    assert GAITS == {"cosine": CosineGait, "polynomial": PolynomialGait}
+    assert {"cosine": CosineGait, "polynomial": PolynomialGait} == GAITS
     assert all(gait.name == name for name, gait in GAITS.items())
 
 
