@@ -112,14 +112,39 @@ def test_its_column_is_missing_where_a_variant_has_not_the_stage(surena, experim
     assert frame["frozen_s"].to_list() == [None, None] and frame.schema["frozen_s"] == pl.Float64
 
 
-def test_it_is_tuned(experiment):
-    """Forward mode through whole walks gives its tunable a slope, that of a difference over them."""
+def test_its_numbers_are_differentiated(surena, experiment):
+    """How long the gait is frozen under a force that swells and ebbs, by the limit: forward mode and a difference."""
+    params, controller = surena[0], experiment.variants["freeze"]
+    found = tunables.find(["freeze"], controller)
+    assert [(t.name, t.unit, t.low) for t in found] == [("freeze.limit", "N", 900.0)]
+    time = 0.004 * jnp.arange(1.0, 200.0)
+
+    def frozen(limit: Array) -> Array:
+        changed = tunables.apply(params, controller, found, limit[None])
+
+        def tick(state: Any, t: Array) -> Any:
+            force = jnp.full((2, 4), 150.0) + 150.0 * jnp.sin(4.0 * t) ** 2
+            return changed.step(state, Sensed.nothing(t, corner_force=force))[0], None
+
+        state = jax.lax.scan(tick, changed.init(), time)[0]
+        return changed.outcome(state)["frozen_s"]
+
+    value, slope = jax.jit(lambda x: jax.jvp(frozen, (x,), (jnp.ones_like(x),)))(jnp.asarray(1000.0))
+    low, high = jax.jit(jax.vmap(frozen))(jnp.array([990.0, 1010.0]))
+    assert 0.1 < value < 0.5 and slope < -1e-5
+    assert float(slope) == pytest.approx(float(high - low) / 20.0, rel=0.05)
+
+
+@pytest.mark.slow
+def test_it_is_tuned(experiment, tmp_path):
+    """A descent over whole walks moves its limit, and its file says so."""
     problem = tune.Problem.of(experiment, ["freeze"])
-    assert [(t.name, t.unit, t.low) for t in problem.tunables] == [("freeze.limit", "N", 900.0)]
-    rows = np.array([1])
-    slope = float(tune.forward(problem, problem.start, rows).by_scenario[0, 0])
-    wide = float(tune.central(problem, problem.start, rows, np.array([20.0])).by_scenario[0, 0])
-    assert slope != 0.0 and slope == pytest.approx(wide, rel=0.5)
+    tuned = tune.tune(problem, experiment, tmp_path, tune.Settings(steps=2, scenarios=2, seed=0))
+    assert float(tuned.values[0]) != pytest.approx(float(problem.start[0]), abs=1e-3)
+    text = tune.variant_file(tuned, {"freeze": {"base": "default"}}, "a test")
+    (tmp_path / "tuned.toml").write_text(text)
+    back = load_variant("--variant", tmp_path / "tuned.toml", experiment.robot, problem.controller.gait)
+    assert float(back.stage("freeze").params.limit) == pytest.approx(float(tuned.values[0]), rel=1e-6)
 
 
 def test_its_numbers_are_written_to_a_variant_file_and_read_again(surena, experiment, tmp_path):
