@@ -1,5 +1,6 @@
 """A third stage, written here and nowhere else: batched, tuned, in a variant file, with its column in the table."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -57,7 +58,6 @@ class FrozenGait(PlannedStage):
         return {"frozen_s": state.held}
 
 
-@adapt.register
 class Freeze(Stage):
     """Parameters of the stage."""
 
@@ -73,6 +73,14 @@ class Freeze(Stage):
     softness: Float[Array, ""] = number(
         "softness", Quantity("N", 0.0, 1e4, True, text="Over which force it does so."), 30.0
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered() -> Iterator[None]:
+    """Known in the tests of this file only."""
+    adapt.register(Freeze)
+    yield
+    del adapt.STAGES[Freeze.name]
 
 
 @pytest.fixture(scope="module")

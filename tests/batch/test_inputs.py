@@ -299,4 +299,4 @@ def test_chunks_cover_every_row_once_and_waste_little(surena, rows, lanes):
     assert one.lanes == lanes
     walked = [chunk.first_row + i for chunk in one.chunks for i in range(chunk.start, chunk.stop)]
     assert walked == list(range(2 * rows)) and one.rows == 2 * rows
-    assert all(0 < chunk.stop - chunk.start <= lanes for chunk in one.chunks)
+    assert all(0 < chunk.stop - chunk.start <= one.chunk_rows for chunk in one.chunks)

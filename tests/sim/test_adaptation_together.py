@@ -100,7 +100,7 @@ def test_commands_stay_continuous_through_obstacle_and_load(walks, ground, load)
 
 def test_a_load_on_flat_ground_leaves_landing_as_it_is(both, walks):
     """Landing on flat ground adds two millimetres at most to what the payload stage asks for, recovery included."""
-    alone = eqx.tree_at(lambda c: c.landing, both, None)
+    alone = eqx.tree_at(lambda c: c.stages, both, (both.stage("payload"),))
     load = int(np.abs(LOAD_TIMES - 4.2).argmin())
     sole, pelvis, *_ = jax.tree.map(lambda leaf: leaf[0, load], walks)
     ours = (jnp.zeros((1, 2)), jnp.asarray(LOAD_TIMES[load : load + 1], jnp.float32), ticks_of(both))

@@ -358,7 +358,7 @@ class Player(Controller):
     gait: Any
 
     def __init__(self, gait: Any):
-        self.gait, self.landing, self.payload = gait, None, None
+        self.gait, self.stages = gait, ()
 
 
 def walk64(simulation: Simulation, gait: Any, scene: Any, duration: float) -> Any:
