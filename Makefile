@@ -12,13 +12,21 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench lock clean
+.PHONY: help demo fast test check bench lock clean
 
 help:  ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
 
 demo: $(STAMP)  ## Plan, simulate and draw both robots' walks; results in runs/demo
 	$(BIN)/jaxbiped demo --out runs/demo $(ARGS)
+
+# Rooms and files whose tests compile no whole walk.
+FAST := tests/robot tests/kinematics tests/planner tests/score tests/batch tests/report tests/test_architecture.py tests/test_checked.py \
+	tests/test_cli.py tests/test_runtime.py tests/test_variant_files.py tests/test_versions.py tests/adapt/test_controller.py \
+	tests/adapt/test_parameters.py tests/adapt/test_tunables.py --ignore tests/batch/test_kills.py --ignore tests/batch/test_run.py
+
+fast: $(STAMP)  ## Run the tests that compile no whole walk: a few minutes
+	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0 $(FAST)
 
 test: $(STAMP)  ## Run the test suite (without the tests marked slow or gpu)
 	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0
