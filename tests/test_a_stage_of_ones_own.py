@@ -118,6 +118,10 @@ def test_its_column_is_missing_where_a_variant_has_not_the_stage(surena, experim
     found = {name: np.zeros(2) for name in columns.OUTCOMES}
     frame = part.outcome_frame({**found, "status": np.zeros(2, int)}, both.outcomes)
     assert frame["frozen_s"].to_list() == [None, None] and frame.schema["frozen_s"] == pl.Float64
+    own = {**columns.OUTCOMES, "froze": Outcome("whether it froze", bool), "times": Outcome("how often", int)}
+    given = {**found, "status": np.zeros(2, int), "froze": np.array([True, False])}
+    frame = part.outcome_frame(given, own)
+    assert frame["froze"].to_list() == [True, False] and frame["times"].to_list() == [None, None]
 
 
 def test_its_numbers_are_differentiated(surena, experiment):

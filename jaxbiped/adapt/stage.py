@@ -29,7 +29,8 @@ class Signals(eqx.Module):
     walking: Bool[Array, ""]
     """Whether the plan is being walked; False while a recovery stands in its place."""
     disturbed: Bool[Array, ""]
-    """Whether a foot has just touched down, or is overdue: foot forces say little about the weight."""
+    """Whether a foot has just touched down, or is overdue: foot forces say little about the weight. Said anew in every
+    tick by the one stage that watches the feet; nobody else takes it back."""
     interruptions: Int[Array, ""]
     """How often the walk has been interrupted."""
     interrupted_time: Scalar

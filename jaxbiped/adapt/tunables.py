@@ -124,13 +124,11 @@ def with_values(
     own = {t.field: new[i] for i, t in enumerate(tunables) if t.stage == "gait"}
     gait, stages = other_gait(robot, controller.gait, own, allow_infeasible=True), []
     for stage in controller.stages:
-        params = stage.params
+        changed: dict[str, Any] = {}
         for t, value in ((t, new[i]) for i, t in enumerate(tunables) if t.stage == stage.name):
-            old = getattr(params, t.field)
-            params = replace(
-                params, **{t.field: jnp.asarray(old).at[t.index].set(value) if t.index else value}
-            )
-        stages.append(params)
+            old = changed.get(t.field, getattr(stage.params, t.field))
+            changed[t.field] = jnp.asarray(old).at[t.index].set(value) if t.index else value
+        stages.append(replace(stage.params, **changed))
     return gait, stages
 
 

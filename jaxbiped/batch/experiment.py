@@ -26,7 +26,7 @@ MAX_LANES = 128
 """Largest chunk where nobody says otherwise: more walks at once are no faster on a core."""
 LANE_STEP = 8
 """Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""
-MAX_TURNS, MIN_CHUNKS = 4, 8
+MAX_TURNS, MIN_CHUNKS = 4, 32
 """How many scenarios a lane of a chunk takes one after the other, if so many chunks are left for every variant."""
 PAGES = Word(("overview", "payload", "obstacles"), "what is drawn of the results, see `report.pages`")
 RULES = Word(("papers",), "success by elkahlout's rule where the weight changes suddenly, else by khadiv's")
@@ -164,7 +164,7 @@ class Experiment:
             return dict.fromkeys(self.variants, self.duration)
         changes = inputs.changes_of_weight(self.table)
         needed = {name: watch_time(variant, changes) for name, variant in self.variants.items()}
-        # Variants with the same stages share what is compiled, if they are walked for the same time.
+        # Variants with the same stages are walked for the same time: their statistics are of as long a walk.
         alike = {
             name: tuple(stage.name for stage in variant.stages) for name, variant in self.variants.items()
         }

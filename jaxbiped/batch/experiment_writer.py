@@ -158,7 +158,7 @@ def _as_grid(table: pl.DataFrame) -> dict[str, list[float]] | None:
 
 
 def _simulation(experiment: Experiment) -> dict[str, Any]:
-    """Options, durations, seed and size of the chunks."""
+    """Options, durations, seed and how many walk at once."""
     options, durations = experiment.simulation, experiment.durations
     same = len(set(durations.values())) == 1
     return {

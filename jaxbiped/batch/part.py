@@ -102,7 +102,8 @@ def outcome_frame(
     outcome = {**outcome, **absent}
     require_declared(outcome, declared)
     columns = [_column(name, outcome[name], column.kind) for name, column in declared.items()]
-    return pl.DataFrame([column.fill_nan(None) if column.name in own else column for column in columns])
+    floats = {name for name in own if declared[name].kind is float}
+    return pl.DataFrame([column.fill_nan(None) if column.name in floats else column for column in columns])
 
 
 _DTYPES = {float: pl.Float64, int: pl.Int64, bool: pl.Boolean, str: pl.String}

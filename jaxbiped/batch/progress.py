@@ -41,7 +41,7 @@ def show(stream: Any = None) -> "Shown":
 
 
 class Shown:
-    """To be called with a `Progress` after every chunk; `close` ends it."""
+    """To be called with a `Progress` after every chunk and within it; `close` ends it."""
 
     def __init__(self, stream: Any):
         self._last: Progress | None = None

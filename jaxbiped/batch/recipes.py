@@ -54,7 +54,7 @@ def payload(  # noqa: PLR0913
         steps: of the walk; None for enough to complete two after the last recovery.
         allow_infeasible: whether the plan may break a constraint.
         seed: of the sensors' noise.
-        batch: walks in a chunk; None for up to 128.
+        batch: walks at once; None for up to 128.
 
     Raises:
         Refusal: naming the argument, what was got and what is allowed.
@@ -97,7 +97,7 @@ def obstacles(  # noqa: PLR0913
         steps: of the walk.
         allow_infeasible: whether the plan may break a constraint.
         seed: of the sensors' noise.
-        batch: walks in a chunk; None for up to 128.
+        batch: walks at once; None for up to 128.
 
     Raises:
         Refusal: naming the argument, what was got and what is allowed.

@@ -37,6 +37,8 @@ class Plan:
     damaged: tuple[str, ...]
     """Files in the folder that are damaged and will be set aside, and why."""
     lanes: int
+    """Walks at once."""
+    chunk_rows: int
     """Walks in a chunk."""
     workers: int
     simulated_s: float
@@ -68,7 +70,7 @@ def run(
             than there are chunks left.
         scheduler: address of a Dask scheduler whose workers are to be used, instead of processes of this machine.
         overwrite: drop what another experiment left in the folder; what this one left is kept.
-        progress: called after every chunk, as of `show`.
+        progress: called after every chunk and within it, as of `show`.
         tell: is told of every damaged file that is set aside.
 
     Raises:
@@ -111,7 +113,10 @@ def plan(
     found = Found({}, {}) if out is None else Store(_folder(out), experiment, overwrite).inspect()
     left = [chunk for chunk in experiment.chunks if chunk.number not in found.failed]
     ticks = sum(
-        experiment.lanes * experiment.durations[chunk.variant] / experiment.simulation.dt for chunk in left
+        max(experiment.lanes, chunk.stop - chunk.start)
+        * experiment.durations[chunk.variant]
+        / experiment.simulation.dt
+        for chunk in left
     )
     compiled = len({chunk.variant for chunk in left})
     processes = min(given or _for_this_machine(), max(1, len(left)))
@@ -123,6 +128,7 @@ def plan(
         chunks_done=len(found.failed),
         damaged=tuple(f"{file} ({why})" for file, why in found.damaged.items()),
         lanes=experiment.lanes,
+        chunk_rows=experiment.chunk_rows,
         workers=processes,
         simulated_s=experiment.ticks * experiment.simulation.dt,
         memory_per_worker_MiB=BASE_MIB + experiment.lanes * LANE_KIB / 1024.0,
@@ -139,6 +145,7 @@ class _Count:
         self.done, self.failed = sum(sizes[n] for n in found.failed), sum(found.failed.values())
         self.chunks, self.walked, self.first = 0, 0, (0, 0.0)
         self.under_way: dict[int, float] = {}
+        self.measured = 0.0  # when the last chunk was finished: rates are those of whole chunks
         self._tell()
 
     def within(self, chunk: Chunk, fraction: float) -> None:
@@ -150,20 +157,20 @@ class _Count:
         self.under_way.pop(chunk.number, None)
         self.chunks, self.walked = self.chunks + 1, self.walked + rows.height
         self.done, self.failed = self.done + rows.height, self.failed + failures(rows)
+        self.measured = time.perf_counter() - self.began
         if self.chunks == 1:
-            self.first = (self.walked, time.perf_counter() - self.began)
+            self.first = (self.walked, self.measured)
         self._tell()
 
     def _tell(self) -> None:
         """The first chunk took longer, since it had to be compiled: it counts only as long as there is no other."""
         seconds, (walked, took) = time.perf_counter() - self.began, self.first
         if self.walked > walked > 0:
-            rate = (self.walked - walked) / max(seconds - took, 1e-9)
+            rate = (self.walked - walked) / max(self.measured - took, 1e-9)
         else:
-            rate = self.walked / max(seconds, 1e-9) if self.walked else None
-        left = None if rate is None else (self.total - self.done) / rate
+            rate = self.walked / max(self.measured, 1e-9) if self.walked else None
         within = sum(self.under_way.values(), 0.0)
-        left = None if left is None or rate is None else max(0.0, left - within / rate)
+        left = None if rate is None else max(0.0, self.total - self.done - within) / rate
         self.tell(Progress(self.done, self.total, self.failed, seconds, rate, left, within))
 
 

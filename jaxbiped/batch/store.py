@@ -302,7 +302,7 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
     try:
         described = json.loads((folder / EXPERIMENT).read_text(encoding="utf-8"))
         key, version = described["key"], described.get("format")
-        if isinstance(version, bool) or version not in CALLED:
+        if type(version) not in (int, type(None)) or version not in CALLED:
             raise ValueError(f"its format is {version!r}, this version reads 2 and {FORMAT}")
         if key != records.digest({name: described[name] for name in ("experiment", "code")}):
             raise DamagedError(f"{EXPERIMENT} was changed: its key is not that of what it says")

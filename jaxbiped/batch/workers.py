@@ -162,6 +162,7 @@ class _Crew:
                 for chunk in self.running.values():
                     if chunk.number == number:
                         self.told(chunk, fraction)
+                last_seen = time.monotonic()
                 continue
             if self.client.scheduler_info()["workers"]:
                 last_seen = time.monotonic()
@@ -338,11 +339,7 @@ _kinds: set[Any] = set()
 
 def _make_room(experiment: Experiment, chunk: Chunk) -> None:
     """Forget what is compiled for other kinds of variants, if it takes much memory; JAX's compilation cache has it."""
-    kind = (
-        jax.tree.structure(experiment.variants[chunk.variant]),
-        experiment.durations[chunk.variant],
-        experiment.lanes,
-    )
+    kind = (jax.tree.structure(experiment.variants[chunk.variant]), experiment.lanes)
     if kind not in _kinds and peak_mib() > ROOM_MIB:
         _kinds.clear()
         jax.clear_caches()

@@ -150,7 +150,7 @@ def dry_run(experiment: batch.Experiment, command: Place, figures: Iterable[str]
         raise InputError(_as_argument(str(error))) from None
     print(
         f"{plan.walks} walks: {plan.scenarios} scenarios with each of {plan.variants} variants, "
-        f"{plan.simulated_s:,.0f} s of walking\n{plan.chunks} chunks of {plan.lanes} walks, "
+        f"{plan.simulated_s:,.0f} s of walking\n{plan.chunks} chunks of {plan.chunk_rows} walks, "
         f"{plan.chunks_done} done already; "
         f"{plan.workers} {'worker' if plan.workers == 1 else 'workers'} of about "
         f"{plan.memory_per_worker_MiB:,.0f} MiB; about {progress.duration(plan.wall_time_s)}"

@@ -24,7 +24,7 @@ class Run:
     workers: Annotated[int | None, arg(help=batches.WORKERS_HELP)] = None
     scheduler: Annotated[str | None, arg(help=batches.SCHEDULER_HELP)] = None
     overwrite: Annotated[bool, arg(help=batches.OVERWRITE_HELP)] = False
-    plan: Annotated[bool, arg(help=batches.DRY_RUN_HELP)] = False
+    dry_run: Annotated[bool, arg(help=batches.DRY_RUN_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
 
@@ -35,7 +35,7 @@ def run(command: Run) -> dict[str, Any]:
     with batch.waiting("planning"):
         experiment = _read(command.file)
     files = _files(experiment)
-    if command.plan:
+    if command.dry_run:
         return batches.dry_run(experiment, command, files)
     table = batches.walk(experiment, command, files)
     print("\n".join([*batches.rates(table), *batches.again(table, command.out)]), flush=True)

@@ -499,7 +499,7 @@ def test_a_file_of_the_users_own_is_left_alone(surena, quick, tmp_path):
 def test_run_plans_runs_resumes_and_draws(quick, tmp_path, capsys):
     file, out = written(tmp_path, FILE), tmp_path / "out"
     args = ["run", str(file), "--out", str(out), "--workers", "1", "--json"]
-    assert cli.main([*args, "--plan"]) == cli.OK
+    assert cli.main([*args, "--dry-run"]) == cli.OK
     assert '"walks": 12' in capsys.readouterr().out and not out.exists()
     assert cli.main(args) == cli.OK and quick == [0, 1]
     said = capsys.readouterr().out

@@ -122,7 +122,7 @@ def test_progress_moves_inside_a_chunk(surena, monkeypatch, tmp_path):
 
 def test_lanes_of_large_experiments_take_several_scenarios(surena):
     """As many chunks as workers can share come first; a chunk never depends on the workers."""
-    for rows, chunk_rows, chunks in ((20, 8, 3), (64, 8, 8), (128, 16, 8), (1000, 32, 32)):
+    for rows, chunk_rows, chunks in ((20, 8, 3), (256, 8, 32), (512, 16, 32), (4000, 32, 125)):
         one = experiment(surena, rows=rows)
         assert (one.lanes, one.chunk_rows, len(one.chunks)) == (8, chunk_rows, 2 * chunks)
         assert [c.stop - c.start for c in one.chunks[:chunks]][:-1] == [chunk_rows] * (chunks - 1)
