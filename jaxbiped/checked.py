@@ -100,6 +100,18 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean '{found[0]}'?" if found else ""
 
 
+def register_as(what: str, made: Any, known: dict[str, Any]) -> None:
+    """Add a class to those known by their `name`; the same class of a module that was loaded again takes its place.
+
+    Raises:
+        ValueError: if another class has that name.
+    """
+    there = known.get(made.name, made)
+    if (there.__module__, there.__qualname__) != (made.__module__, made.__qualname__):
+        raise ValueError(f"{what}: got the name '{made.name}', allowed: another than {', '.join(known)}")
+    known[made.name] = made
+
+
 def refuse_unknown(
     where: str, names: Iterable[str], known: Iterable[str], error: type[Exception] = Refusal
 ) -> None:

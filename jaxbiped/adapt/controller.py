@@ -13,14 +13,14 @@ from jaxbiped.planner import Gait, Targets, at
 
 
 class ControllerState(eqx.Module):
-    """What the controller remembers between two ticks."""
+    """State of the controller between two ticks."""
 
     time: Float[Array, ""]
-    """Of the last reading [s]."""
+    """Time of the last reading [s]."""
     stages: dict[str, Any]
     """State of every stage, by its name."""
     signals: Signals
-    """What the stages said last."""
+    """Signals of the last tick."""
 
     @property
     def plan_time(self) -> Float[Array, ""]:
@@ -63,7 +63,7 @@ class Controller(eqx.Module):
         return ControllerState(jnp.zeros((), jnp.result_type(float)), states, Signals.none())
 
     def longest_delay(self, changes: int = 1) -> float:
-        """For how long the stages can put the plan off [s], if the weight changes suddenly so often."""
+        """Return the longest time the stages can put the plan off [s], if the weight changes suddenly so often."""
         return sum((stage.longest_delay(self.gait, changes) for stage in self.stages), 0.0)
 
     def step(self, state: ControllerState, sensed: Sensed) -> tuple[ControllerState, Targets]:

@@ -65,7 +65,7 @@ def declared(record: type) -> Declared:
 
 @cache
 def tuned(record: type) -> Mapping[str, Tune]:
-    """How the parameters that may be tuned are, by name."""
+    """Ranges of the parameters that may be tuned, by name."""
     found = {f.name: f.metadata.get("tune") for f in dataclasses.fields(record)}
     return {name: tune for name, tune in found.items() if tune is not None}
 

@@ -1,4 +1,4 @@
-"""What an adaptation is to the controller: a stage; and what stages tell each other: signals.
+"""Stages, by which a controller adapts, and signals, which stages send each other.
 
 A stage is written as two records. `Stage` holds the parameters, declared by `parameters.number` and `switch`, and says
 what belongs to it: the names of its variants, its outcome columns. `PlannedStage` is the stage for one planned walk and
@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt.parameters import require_names
 from jaxbiped.adapt.sensed import Sensed
+from jaxbiped.checked import register_as
 from jaxbiped.planner import Gait, Targets
 from jaxbiped.robot import RobotParams
 
@@ -22,7 +23,7 @@ Scalar = Float[Array, ""]
 
 
 class Signals(eqx.Module):
-    """What stages tell each other, and whoever judges a walk: where it is, and what has interrupted it."""
+    """Messages of the stages to each other and to the score: where the walk is, and what has interrupted it."""
 
     plan_time: Scalar
     """Time in the plan [s]."""
@@ -97,7 +98,7 @@ class PlannedStage(eqx.Module):
         return {}
 
     def longest_delay(self, gait: Gait, changes: int) -> float:
-        """For how long the stage can put the plan off [s], if the weight changes suddenly so often."""
+        """Return the longest time the stage can put the plan off [s], if the weight changes suddenly so often."""
         return 0.0
 
 
@@ -146,8 +147,5 @@ def register(stage: _Stage) -> _Stage:
     Raises:
         ValueError: if another stage has that name.
     """
-    there = STAGES.get(stage.name)
-    if there is not None and (there.__module__, there.__qualname__) != (stage.__module__, stage.__qualname__):
-        raise ValueError(f"stage: got the name '{stage.name}', allowed: another than {', '.join(STAGES)}")
-    STAGES[stage.name] = stage
+    register_as("stage", stage, STAGES)
     return stage

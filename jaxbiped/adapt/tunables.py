@@ -53,7 +53,7 @@ class Tunable:
 
 
 def of_stage(stage: type[Stage]) -> list[Tunable]:
-    """What its record declares to be tunable."""
+    """Tunables that the record of a stage declares."""
     found = []
     for name, tune in parameters.tuned(stage).items():
         quantity = parameters.declared(stage)[name]
@@ -99,7 +99,7 @@ def find(names: Sequence[str], controller: Controller) -> list[Tunable]:
 
 
 def values(controller: Controller, tunables: Sequence[Tunable]) -> Float[Array, " n"]:
-    """What they are in a controller."""
+    """Values of the tunables in a controller."""
     return jnp.stack([_parameter(controller, t)[t.index] for t in tunables])
 
 
@@ -117,7 +117,7 @@ def apply(
 def with_values(
     robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
 ) -> tuple[Any, list[Stage]]:
-    """What `apply` plans with: the gait, and the parameters of the stages.
+    """Give what `apply` plans with: the gait, and the parameters of the stages.
 
     A descent goes through plans that break a constraint by a little, so that none is refused for that here.
     """

@@ -121,7 +121,7 @@ def stage_of(name: str, variant: str, robot: RobotParams, gait: Any, **given: An
 
 
 def stage_fields() -> dict[str, dict[str, Field]]:
-    """What the tables of the stages in the file of a variant may hold."""
+    """Fields that the tables of the stages may hold in the file of a variant."""
     return {
         name: {"base": Word((OFF, *stage.variants)), **parameters.declared(stage)}
         for name, stage in STAGES.items()
@@ -162,7 +162,7 @@ def numbers_of(record: Any) -> dict[str, float]:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Whether two records are of one kind and hold the same numbers."""
+    """Tell whether two records are of one kind and hold the same numbers."""
     return type(one) is type(other) and bool(eqx.tree_equal(one, other))
 
 
@@ -184,7 +184,7 @@ def flat(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def nested(table: Mapping[str, Any]) -> dict[str, Any]:
-    """What `flat` has flattened."""
+    """Undo `flat`."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         outer, dot, inner = name.partition(".")

@@ -1,6 +1,5 @@
 """Robots and gaits by the names and numbers that recipes and files give them."""
 
-import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from jaxbiped import checked, planner, robot
 from jaxbiped.adapt import variants
 from jaxbiped.checked import Refusal
+from jaxbiped.planner import presets
 
 MAX_STEPS = 200
 """Longest walk of an experiment that is made by name or file."""
@@ -30,7 +30,8 @@ def load_robot(given: robot.RobotParams | str | Path) -> tuple[robot.RobotParams
 
 def kind_of(gait: Any) -> str | None:
     """Name of the kind of a gait; None if it is not registered."""
-    return next((name for name, made in planner.GAITS.items() if type(gait) is made), None)
+    name = getattr(gait, "name", "")
+    return name if planner.GAITS.get(name) is type(gait) else None
 
 
 def own_kind(params: robot.RobotParams) -> str:
@@ -92,15 +93,4 @@ def gait_parameters(params: robot.RobotParams, kind: str, numbers: Mapping[str, 
     checked.refuse_unknown("gait.", numbers, made.quantities)
     if numbers.keys() < made.quantities.keys():
         numbers = {**variants.numbers_of(made.preset_params(params)), **numbers}
-    return _record(made.parameters, variants.nested(numbers))
-
-
-def _record(made: Any, values: Mapping[str, Any]) -> Any:
-    """A record, and records in it, by the names of their fields."""
-    kinds = {field.name: field.type for field in dataclasses.fields(made)}
-    return made(
-        **{
-            name: _record(kinds[name], value) if isinstance(value, dict) else value
-            for name, value in values.items()
-        }
-    )
+    return presets.record_of(made.parameters, numbers)

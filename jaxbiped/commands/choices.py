@@ -5,13 +5,13 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxbiped import adapt, checked, planner, robot
+from jaxbiped import adapt, planner, robot
 from jaxbiped.adapt import variants
 from jaxbiped.adapt.variants import OFF
-from jaxbiped.batch.defaults import MAX_STEPS
+from jaxbiped.batch import defaults
 from jaxbiped.checked import Refusal
+from jaxbiped.commands.batches import naming_arguments
 from jaxbiped.commands.common import InputError
-from jaxbiped.planner.constraints import OR_ALLOW
 
 GAIT_NAMES = "|".join(sorted(planner.GAITS))
 PAPER, ORIGINAL, MODIFIED, REPAIRED = "paper", "original", "modified", "repaired"
@@ -24,25 +24,16 @@ ALLOW_HELP = (
 
 def gait_name(given: str | None, params: robot.RobotParams) -> str:
     """The gait that was asked for, else that of the robot's own paper."""
-    try:
-        return planner.own_gait_name(params) if given is None else given
-    except planner.GaitError as error:
-        raise InputError(f"--robot, --gait: {error}") from None
+    with naming_arguments():
+        return defaults.own_kind(params) if given is None else given
 
 
 def make_gait(
     params: robot.RobotParams, name: str, steps: int, allow_infeasible: bool = False
 ) -> planner.Gait:
     """The preset gait of a robot; refused if it breaks a constraint, unless it is known to or that is allowed."""
-    gaits = planner.GAITS
-    if name not in gaits:
-        raise InputError(f"--gait: got '{name}', allowed: {', '.join(gaits)}{checked.nearest(name, gaits)}")
-    if not 1 <= steps <= MAX_STEPS:
-        raise InputError(f"--steps: got {steps}, allowed: 1 to {MAX_STEPS}")
-    try:
-        return gaits[name].preset(params, steps, allow_infeasible=allow_infeasible)
-    except planner.GaitError as error:
-        raise InputError(f"--robot, --gait: {_as_flag(error)}") from None
+    with naming_arguments():
+        return defaults.plan(params, name, steps, allow_infeasible=allow_infeasible)
 
 
 def broken(params: robot.RobotParams, gait: planner.Gait) -> list[str]:
@@ -52,11 +43,6 @@ def broken(params: robot.RobotParams, gait: planner.Gait) -> list[str]:
     if lines and known and eqx.tree_equal(gait.params, gait.preset_params(params)):
         lines[-1] += f"; known of this preset: {known}"
     return lines
-
-
-def _as_flag(error: Exception) -> str:
-    """A refusal in the words of the command line."""
-    return str(error).replace(OR_ALLOW, "; or say --allow-infeasible")
 
 
 def variant_tables(argument: str, path: Path) -> variants.Tables:

@@ -226,11 +226,7 @@ def register(gait: _Class) -> _Class:
     Raises:
         ValueError: if another gait has that name.
     """
-    made: Any = gait
-    there = GAITS.get(made.name)
-    if there is not None and (there.__module__, there.__qualname__) != (gait.__module__, gait.__qualname__):
-        raise ValueError(f"gait: got the name '{made.name}', allowed: another than {', '.join(GAITS)}")
-    GAITS[made.name] = made
+    checked.register_as("gait", gait, GAITS)
     return gait
 
 

@@ -54,7 +54,7 @@ class Preset:
 
     def parameters(self, record: type[eqx.Module]) -> Any:
         """The parameters as the record of their gait."""
-        return _made(record, {name: float(number.value) for name, number in self.numbers.items()}, "")
+        return record_of(record, {name: float(number.value) for name, number in self.numbers.items()})
 
 
 def robots(gait: Kind) -> tuple[str, ...]:
@@ -131,13 +131,13 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _made(record: type[eqx.Module], values: Mapping[str, float], prefix: str) -> Any:
+def record_of(record: type[eqx.Module], values: Mapping[str, float], prefix: str = "") -> Any:
     """A record of numbers, and of records of numbers, by their dotted names."""
     made = {}
     for field in dataclasses.fields(record):
         name, kind = f"{prefix}{field.name}", field.type
         if isinstance(kind, type) and issubclass(kind, eqx.Module):
-            made[field.name] = _made(kind, values, f"{name}.")
+            made[field.name] = record_of(kind, values, f"{name}.")
         else:
             made[field.name] = values[name]
     return record(**made)

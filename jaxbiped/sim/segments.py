@@ -6,7 +6,6 @@ next scenario, and when all have finished, no further segment is begun.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -83,11 +82,11 @@ def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: T
     """A lane for every scenario, and the rows of their traces, the last of which may stand still."""
     rows = ticks // simulation.options.trace_every
     states = _begin(simulation, scenarios, _count(rows * simulation.options.trace_every))
-    parts: list[Any] = []
-    while sum(part.time.shape[1] for part in parts) < rows or not parts:
+    parts: list[Sample] = []
+    for start in range(0, max(rows, 1), MAX_ROWS):
         states, part = _traced_segment(simulation, states)
         parts.append(jax.tree.map(np.asarray, part))
-        told(min(1.0, len(parts) * MAX_ROWS / max(rows, 1)))
+        told(min(1.0, (start + MAX_ROWS) / max(rows, 1)))
     trace = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1)[:, :rows], *parts)  # on the host
     return _walk(states, trace)
 

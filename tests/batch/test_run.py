@@ -128,6 +128,15 @@ def test_lanes_of_large_experiments_take_several_scenarios(surena):
         assert [c.stop - c.start for c in one.chunks[:chunks]][:-1] == [chunk_rows] * (chunks - 1)
 
 
+def test_chunks_of_a_folder_of_format_2_are_as_long_as_it_has_lanes(surena):
+    """It did not say how long they are, and its parts are found by their numbers."""
+    one = experiment(surena, rows=512)
+    resolved = {name: value for name, value in one.resolved.items() if name != "chunk_rows"}
+    again, old = (batch.Experiment.from_resolved(said, one.table) for said in (one.resolved, resolved))
+    assert (one.chunk_rows, again.chunk_rows, old.chunk_rows) == (16, 16, 8)
+    assert len(again.chunks) == len(one.chunks) and len(old.chunks) == 2 * len(one.chunks)
+
+
 def test_progress_counts_walks_failures_and_what_was_there(surena, quick, tmp_path):
     one, seen = experiment(surena), []
     table = batch.run(one, tmp_path, workers=1, progress=seen.append)
@@ -306,8 +315,10 @@ def test_a_lane_that_is_not_a_number_is_a_status_and_the_others_live(surena, tmp
 def test_two_dask_workers_give_the_same_table(walked, tmp_path):
     pytest.importorskip("distributed")
     one, _, folder = walked
-    batch.run(one, tmp_path, workers=2)
+    seen: list[batch.Progress] = []
+    batch.run(one, tmp_path, workers=2, progress=seen.append)
     assert table_bytes(tmp_path) == table_bytes(folder)
+    assert any(p.under_way > 0.0 for p in seen)  # workers say how far they are
 
 
 def test_every_worker_has_one_thread_and_a_gpu_of_its_own(monkeypatch):

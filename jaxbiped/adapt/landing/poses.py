@@ -1,4 +1,4 @@
-"""Where a foot that lands goes, and the pelvis with it (khadiv Eqs. 6, 7, 12-16), in the plan's frame."""
+"""Poses of a foot that lands and of the pelvis, in the plan's frame (khadiv Eqs. 6, 7, 12-16)."""
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ def pose(p: Landing, state: LandingState, phase: Phase, plan: TaskSpace, tau: Sc
 
 
 def kept_share(p: Landing, phase: Phase, tau: Scalar) -> Scalar:
-    """Share of the offsets that is not released yet (Eq. 16); a reflex releases nothing."""
+    """Fraction of the offsets that is still applied (Eq. 16); a reflex releases nothing."""
     kept = 1.0 - smooth(tau / (p.release_share * phase.T_s))
     return jnp.where(phase.kind == REFLEX_STEP, 1.0, kept)
 
@@ -53,7 +53,7 @@ def set_down(p: Landing, state: LandingState, tau: Scalar) -> tuple[Scalar, Scal
 
 
 def lowered(p: Landing, state: LandingState, phase: Phase, tau: Scalar) -> Scalar:
-    """How far the pelvis has descended in a retard landing [m] (Eqs. 14 and 15)."""
+    """Descent of the pelvis in a retard landing [m] (Eqs. 14 and 15)."""
     _, z_mod = set_down(p, state, tau)
     down = descent(p, tau - phase.T_s, phase.T_c - phase.T_s)
     after = jnp.where(state.late, state.descended - (z_mod if p.pelvis_follows else 0.0), 0.0)
@@ -71,7 +71,7 @@ def taylor(nominal: Targets, dt: Scalar) -> TaskSpace:
 
 
 def descent(p: Landing, t: Scalar, T_d: Scalar) -> Scalar:
-    """How far foot and pelvis have descended `t` seconds after T_s [m] (khadiv Eqs. 12 and 14).
+    """Descent of foot and pelvis `t` seconds after T_s [m] (khadiv Eqs. 12 and 14).
 
     Smooth: speeds up, goes on at descent_speed, and slows down so as to stand still at max_descent or at T_c,
     whichever comes first; where that is too near for descent_speed, it turns back half-way.

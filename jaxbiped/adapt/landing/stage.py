@@ -80,7 +80,7 @@ class LandingStage(PlannedStage):
         return state, self._command(state, targets), replace(signals, disturbed=state.disturbed())
 
     def outcome(self, state: LandingState) -> dict[str, Array]:
-        """How many steps ended without a touch."""
+        """Count the steps that ended without a touch."""
         return {"missed": state.missed}
 
     def _next_step(self, state: LandingState, nominal: Targets, time: Scalar) -> LandingState:

@@ -1,4 +1,4 @@
-"""What landing remembers between two ticks."""
+"""State of the landing stage between two ticks."""
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int
@@ -6,12 +6,12 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbiped.planner import Phase
 
 Scalar = Float[Array, ""]
-_SHAKEN_TIME = 0.5
-"""For how long after a touch the foot forces say little about the weight [s]."""
+_DISTURBED_TIME = 0.5
+"""Time after a touch during which foot forces are no reliable measure of the weight [s]."""
 
 
 class LandingState(eqx.Module):
-    """What the stage remembers between two ticks."""
+    """State of the landing stage between two ticks."""
 
     phase: Phase
     """Phase at the last tick."""
@@ -24,7 +24,7 @@ class LandingState(eqx.Module):
     late: Bool[Array, ""]
     """Whether it did so after T_s."""
     descended: Scalar
-    """How far foot and pelvis had descended at the touch [m]."""
+    """Descent of foot and pelvis at the touch [m]."""
     touch_tau: Scalar
     """Time since lift-off of the touch [s]."""
     touch: Float[Array, "3 2"]
@@ -46,6 +46,6 @@ class LandingState(eqx.Module):
         return self.phase.time_since_liftoff
 
     def disturbed(self) -> Bool[Array, ""]:
-        """Whether at the last tick a foot had just touched, or was overdue."""
+        """Tell whether at the last tick a foot had just touched, or was overdue."""
         overdue = ~self.touched & self.aloft & (self.tau > self.phase.T_s)
-        return overdue | (self.touched & (self.tau - self.touch_tau < _SHAKEN_TIME))
+        return overdue | (self.touched & (self.tau - self.touch_tau < _DISTURBED_TIME))

@@ -16,7 +16,7 @@ WALK, REFLEX, SETTLE, SHIFT, RECOVER, HOLD = range(6)
 
 
 class PayloadState(eqx.Module):
-    """What the stage remembers between two ticks. The body frame is the pelvis', heading along x."""
+    """State of the payload reflex between two ticks. The body frame is the pelvis', heading along x."""
 
     mode: Int[Array, ""]
     """WALK, REFLEX, SETTLE, SHIFT, RECOVER or HOLD."""
@@ -59,7 +59,7 @@ class PayloadState(eqx.Module):
     resume_plan_time: Scalar
     """Plan time then [s]."""
     world_shift: Scalar
-    """How far the walk has got ahead of the plan [m]."""
+    """Forward offset of the walk relative to the plan [m]."""
 
     def share(self, since: Scalar) -> Scalar:
         """A time [s] as a share of a tick, within 0 and 1; 1 before there is one."""
@@ -79,15 +79,15 @@ class RecoveryStep(eqx.Module):
     t_ds: Scalar
     """Double support, Eq. 3.25 [s]."""
     sway: Scalar
-    """How far the body goes towards the stance foot [m]."""
+    """Displacement of the body towards the stance foot [m]."""
     lift: Scalar
-    """How high the swing foot goes [m]."""
+    """Height of the swing foot [m]."""
     goal: Float[Array, "2 3"]
     """Soles in the body frame at the end, but for the new shift of x_ref [m]."""
 
 
 class PlannedReflex(PlannedStage):
-    """What the reflex knows of a planned walk."""
+    """The payload reflex for one planned walk, without its tick."""
 
     params: PayloadReflex
     """Parameters."""
@@ -129,6 +129,6 @@ def matching_step(
 
 
 def stance_place(state: PayloadState, foot: Int[Array, ""]) -> Float[Array, "3"]:
-    """Where a foot stands in the world since the end of the reflex; before it, this is so for the stance foot."""
+    """Place of a foot in the world since the end of the reflex; before it, this is so for the stance foot."""
     stance = 1 - state.swing
     return state.start_sole[stance] + state.end[foot] - state.end[stance]

@@ -1,4 +1,4 @@
-"""Where soles and pelvis are outside WALK: reflex, shift of x_ref, recovery step (Eqs. 3.11-3.17, 3.21, 3.26-3.40)."""
+"""Poses of soles and pelvis outside WALK: reflex, shift of x_ref, recovery step (Eqs. 3.11-3.17, 3.21, 3.26-3.40)."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -43,7 +43,7 @@ def reflex_pose(
 
 
 def motion_before(state: PayloadState, time: Scalar) -> Float[Array, "2 3"]:
-    """What is left, before a ramp that starts inside the tick to come, of the motion that it ends."""
+    """Rest of the motion that a ramp ends which starts inside the tick to come [m]."""
     back = jnp.minimum(state.time - state.trigger_time, 0.0)
     share = state.share(-back)
     _, velocity, acceleration = state.start
@@ -92,7 +92,7 @@ def recovery_pose(
 
 
 def displacement_to_stand(stage: PlannedReflex, state: PayloadState, step: RecoveryStep) -> Scalar:
-    """How far forward the stance foot goes in the body frame before the other one lifts off [m]."""
+    """Forward displacement of the stance foot in the body frame before the other one lifts off [m]."""
     if stage.params.x_stand is None:
         return jnp.zeros_like(step.f)
     from_here = stage.params.x_stand + state.x_shift - state.end[1 - step.swing, 0]

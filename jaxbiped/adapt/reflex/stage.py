@@ -102,7 +102,7 @@ class PayloadStage(PlannedReflex):
         return state, targets, signals
 
     def outcome(self, state: PayloadState) -> dict[str, Array]:
-        """How many reflexes there were, and when the last one began."""
+        """Give the number of reflexes and the start of the last one [s]."""
         begun = jnp.where(state.reflexes > 0, state.trigger_time, jnp.nan)
         return {"reflexes": state.reflexes, "trigger_s": begun}
 

@@ -1,4 +1,4 @@
-"""What the robot is to do in every mode: the plan, wherever the walk has got to, or a pose in its place."""
+"""Targets of every mode: the plan, wherever the walk has got to, or a pose in its place."""
 
 from dataclasses import replace
 
@@ -81,7 +81,7 @@ def in_world(task: TaskSpace, state: PayloadState) -> TaskSpace:
 def targets_at(
     stage: PlannedReflex, state: PayloadState, plan: Targets, timing: Timing, time: Scalar
 ) -> Targets:
-    """What the robot is to do at `time`: the plan, or the pose of the mode it is in."""
+    """Targets at `time`: the plan, or the pose of the mode the reflex is in."""
     one = jnp.ones_like(time)
 
     def of_mode(t: Scalar) -> TaskSpace:

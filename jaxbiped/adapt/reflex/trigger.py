@@ -1,4 +1,4 @@
-"""What starts a reflex: a jump of the low-passed foot force (Eqs. 3.7-3.17, 4.5, 4.6)."""
+"""The trigger of a reflex: a jump of the low-passed foot force (Eqs. 3.7-3.17, 4.5, 4.6)."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def low_passed(stage: PlannedReflex, state: PayloadState, sensed: Sensed) -> Pay
 def watch(
     stage: PlannedReflex, state: PayloadState, before: PayloadState, disturbed: Bool[Array, ""]
 ) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether the force has left the band around the weight, and when the reflex to it starts.
+    """Tell whether the force has left the band around the weight, and when the reflex to it starts.
 
     It is felt up to a tick after it has done so. A start that is felt at once by one tick and late by the next
     would jump by a tick where a little more load moves it on: so every one comes a tick after the crossing.
@@ -69,7 +69,7 @@ def watch(
 def crossing(
     stage: PlannedReflex, state: PayloadState, then: Scalar, now: Scalar, threshold: Scalar, time: Scalar
 ) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether a force that was `then` at `time` and is `now` is out of the band, and when it left it."""
+    """Tell whether a force that was `then` at `time` and is `now` is out of the band, and when it left it."""
     off_then, off = (jnp.abs(force - state.weight) - threshold for force in (then, now))
     crossed = (off_then < 0.0) & (off > 0.0)
     share = jnp.where(crossed, off_then / jnp.where(crossed, off_then - off, 1.0), 1.0)
