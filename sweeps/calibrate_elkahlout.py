@@ -13,9 +13,10 @@ import argparse
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -33,8 +34,8 @@ STEPS = 7
 FRICTIONS = (0.06, 0.075, 0.09, 0.105, 0.12, 0.15, 0.2, 0.3, 0.5, 0.8)
 TOES = (0.114, 0.15)
 """Shortest and longest toe that is tried [m]."""
-COARSE, FINE = 0.003, 0.0005
-"""Steps between toes [m]."""
+FINE = 0.0005
+"""Step between toes [m]."""
 CARRIED, DROPPED = 2.5, 5.0
 """Largest load of Table 4.1 that is carried, and smallest that is not [kg]."""
 OFF_TIMES = (0.2, 0.5, 0.8, 1.1, 1.4, 1.7, 2.0, 2.3, 2.6, 3.2, 3.9, 4.5)
@@ -44,57 +45,43 @@ LOADS = (7.5, 12.5, 15.0)
 TIMES = (0.3, 0.6, 0.9, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 2.1, 2.6, 3.2, 3.7, 3.8, 3.9, 4.1)
 """With a reflex [s]."""
 TABLE = {"original": 2, "modified": 3}
-LANES = 128
 Columns = dict[str, np.ndarray]
 
 
-@dataclass(frozen=True)
 class Walker:
     """A variant of the reflex: compiled once, for any sole and any floor."""
 
-    name: str
-    walk: Callable[..., Any]
-
-    @classmethod
-    def of(cls, name: str, dt: float) -> "Walker":
-        """Compile it for physics ticks of dt [s]."""
+    def __init__(self, name: str, dt: float) -> None:
+        """Get it ready for physics ticks of dt [s]."""
         robot = jb.robot.load("elkahlout")
-        gait = jb.planner.CosineGait.preset(robot, STEPS)
-        reflex = None if name == "off" else getattr(PayloadReflex, name)(robot, gait)
-        controller = Controller(gait, reflex)
-        options = replace(jb.sim.own_options(robot, gait), dt=dt)
-        simulation = jb.sim.prepare(robot, controller, options)
-        ticks = simulation.ticks(watch_time(controller, 1))
+        self.name, self.gait = name, jb.planner.CosineGait.preset(robot, STEPS)
+        reflex = None if name == "off" else getattr(PayloadReflex, name)(robot, self.gait)
+        controller = Controller(self.gait, reflex)
+        self.simulation = jb.sim.prepare(
+            robot, controller, replace(jb.sim.own_options(robot, self.gait), dt=dt)
+        )
+        self.duration = watch_time(controller, 1)
 
-        def one(corners: Any, friction: Any, load: Any, at: Any) -> Any:
-            world = eqx.tree_at(
-                lambda s: (s.ground.friction, s.payload.mass, s.payload.time),
-                jb.sim.Scenario.flat(1),
-                (friction, load, at + gait.clock_start),
-            )
-            own = eqx.tree_at(lambda r: r.p_sole_corner, robot, corners)
-            walk = eqx.tree_at(lambda s: s.robot, simulation, own).walk(world, ticks)
-            return judge(walk, gait, world).success, jnp.rad2deg(walk.statistics.peak_roll_pitch)
+    def run(
+        self, corners: np.ndarray, friction: float, loads: Sequence[float], times: Sequence[float]
+    ) -> Columns:
+        """Every load at every time: with success, peak roll and pitch [deg]."""
+        began, cells = time.monotonic(), np.array(list(itertools.product(loads, times)))
+        worlds = jax.vmap(self._world, (None, 0, 0))(friction, *map(jnp.asarray, cells.T))
+        own = eqx.tree_at(lambda s: s.robot.p_sole_corner, self.simulation, jnp.asarray(corners))
+        walks = own.run_many(worlds, self.duration)
+        success = jax.vmap(lambda walk, world: judge(walk, self.gait, world).success)(walks, worlds)
+        tilt = np.rad2deg(np.asarray(walks.statistics.peak_roll_pitch))
+        print(f"    {self.name}: {len(cells)} walks, {time.monotonic() - began:.0f} s", flush=True)
+        columns = {"load": cells[:, 0], "time": cells[:, 1], "success": np.asarray(success)}
+        return columns | {"roll": tilt[:, 0], "pitch": tilt[:, 1]}
 
-        return cls(name, jb.runtime.jit(jax.vmap(one)))
-
-    def run(self, half_width: float, **values: Sequence[float]) -> Columns:
-        """Every combination of toe, heel, friction, load and time: with success, peak roll and pitch [deg]."""
-        began, rows = time.monotonic(), list(itertools.product(*values.values()))
-        columns = dict(zip(values, np.array(rows, float).T, strict=True))
-        parts = []
-        for start in range(0, len(rows), LANES):
-            own = {
-                name: column[np.minimum(np.arange(start, start + LANES), len(rows) - 1)]
-                for name, column in columns.items()
-            }
-            corners = np.stack([sole(t, h, half_width) for t, h in zip(own["toe"], own["heel"], strict=True)])
-            arguments = (corners, own["friction"], own["load"], own["time"])
-            parts.append([np.asarray(leaf) for leaf in self.walk(*map(jnp.asarray, arguments))])
-            done = min(start + LANES, len(rows))
-            print(f"  {self.name}: {done} of {len(rows)} walks, {time.monotonic() - began:.0f} s", flush=True)
-        success, tilt = (np.concatenate(leaf)[: len(rows)] for leaf in zip(*parts, strict=True))
-        return columns | {"success": success, "roll": tilt[:, 0], "pitch": tilt[:, 1]}
+    def _world(self, friction: Any, load: Any, at: Any) -> jb.sim.Scenario:
+        return eqx.tree_at(
+            lambda s: (s.ground.friction, s.payload.mass, s.payload.time),
+            jb.sim.Scenario.flat(1),
+            (jnp.asarray(friction), load, at + self.gait.clock_start),
+        )
 
 
 def sole(toe: float, heel: float, half_width: float) -> np.ndarray:
@@ -103,29 +90,48 @@ def sole(toe: float, heel: float, half_width: float) -> np.ndarray:
     return np.array([one, one])
 
 
-def right_cells(off: Columns) -> dict[tuple[float, float, float], int]:
-    """By friction, heel and toe: cells of Table 4.1 that are as printed, of those that were walked."""
-    right = off["success"] == (off["load"] <= CARRIED)
-    keys = zip(off["friction"], off["heel"], off["toe"], strict=True)
-    found: dict[tuple[float, float, float], int] = {}
-    for key, one in zip(keys, right, strict=True):
-        found[key] = found.get(key, 0) + int(one)
-    return found
+class Toes(NamedTuple):
+    """With which toes Table 4.1 is as printed, by halving: a longer toe carries more."""
+
+    shortest: float
+    """With which 2.5 kg is carried at all times [m]."""
+    longest: float
+    """With which 5 kg falls at all times [m]; shorter than `shortest` where no toe does both."""
+    right: int
+    """Cells of Table 4.1 that are as printed with the longest one, of 2 len(OFF_TIMES)."""
 
 
-def longest_toe(walker: Walker, half_width: float, friction: float, heel: float) -> tuple[float, float, int]:
-    """The longest toe [m] with which most cells of Table 4.1 are as printed, the shortest one, and how many cells."""
-    toes: np.ndarray = np.arange(*TOES, COARSE)
-    for step in (COARSE, FINE):
-        cells = {"load": (CARRIED, DROPPED), "time": OFF_TIMES}
-        off = walker.run(half_width, friction=[friction], heel=[heel], toe=toes.round(5).tolist(), **cells)
-        right = right_cells(off)
-        most = max(right.values())
-        best = [toe for (_, _, toe), n in right.items() if n == most]
-        toes = np.arange(min(best) - COARSE, max(best) + COARSE + 1e-9, FINE)
-        if step == FINE:
-            return max(best), min(best), most
-    raise AssertionError
+def toes_as_printed(walker: Walker, half_width: float, friction: float, heel: float) -> Toes:
+    """Look for the toes of one floor."""
+
+    @cache
+    def right(number: int, load: float) -> int:
+        corners = sole(toe_of(number), heel, half_width)
+        return int(np.sum(walker.run(corners, friction, (load,), OFF_TIMES)["success"] == (load <= CARRIED)))
+
+    def all_right(load: float) -> Callable[[int], bool]:
+        return lambda number: right(number, load) == len(OFF_TIMES)
+
+    carried, dropped = all_right(CARRIED), all_right(DROPPED)
+    most = round((TOES[1] - TOES[0]) / FINE)
+    shortest = first(carried, most + 1)
+    longest = first(lambda number: not dropped(number), most + 1) - 1
+    walked = max(longest, 0)
+    return Toes(toe_of(shortest), toe_of(longest), right(walked, CARRIED) + right(walked, DROPPED))
+
+
+def toe_of(number: int) -> float:
+    """The toe of a number [m]."""
+    return round(TOES[0] + FINE * number, 5)
+
+
+def first(holds: Callable[[int], bool], end: int) -> int:
+    """The first number below the end from which on something holds; the end if it never does."""
+    low, high = 0, end
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle) else (middle + 1, high)
+    return low
 
 
 def as_printed(walks: Columns, number: int) -> tuple[int, int]:
@@ -142,23 +148,13 @@ def as_printed(walks: Columns, number: int) -> tuple[int, int]:
 
 def family(frictions: Sequence[float], heels: Sequence[float], half_width: float, dt: float) -> pl.DataFrame:
     """One row for each friction and heel."""
-    off = Walker.of("off", dt)
-    variants = [Walker.of(name, dt) for name in TABLE]
+    off, variants = Walker("off", dt), [Walker(name, dt) for name in TABLE]
     rows = []
     for friction, heel in itertools.product(frictions, heels):
-        toe, shortest, right = longest_toe(off, half_width, friction, heel)
-        row = {
-            "friction": friction,
-            "heel_m": heel,
-            "toe_m": toe,
-            "shortest_toe_m": shortest,
-            "table_4_1": right,
-            "of": 2 * len(OFF_TIMES),
-        }
+        toes = toes_as_printed(off, half_width, friction, heel)
+        row: dict[str, Any] = {"friction": friction, "heel_m": heel} | toes._asdict()
         for variant in variants:
-            walks = variant.run(
-                half_width, toe=[toe], heel=[heel], friction=[friction], load=LOADS, time=TIMES
-            )
+            walks = variant.run(sole(toes.longest, heel, half_width), friction, LOADS, TIMES)
             agree, printed = as_printed(walks, TABLE[variant.name])
             probe = (walks["load"] == 15.0) & (walks["time"] == 1.2)
             row |= {
@@ -185,8 +181,14 @@ def draw(table: pl.DataFrame) -> Any:
         axes[1].plot(table["friction"], table[f"{variant}_roll_deg"], "o-", color=color, label=variant)
     axes[0].set(ylabel="cells as printed [%]", ylim=(0, 102))
     axes[1].set(ylabel="median peak roll [deg]", ylim=(0, None))
-    axes[2].fill_between(table["friction"], 1e3 * table["shortest_toe_m"], 1e3 * table["toe_m"], alpha=0.4)
-    axes[2].plot(table["friction"], 1e3 * table["toe_m"], "ko-", label="longest, the one that walks above")
+    axes[2].fill_between(
+        table["friction"],
+        1e3 * table["shortest"],
+        1e3 * table["longest"],
+        where=table["shortest"] <= table["longest"],
+        alpha=0.4,
+    )
+    axes[2].plot(table["friction"], 1e3 * table["longest"], "ko-", label="longest, the one that walks above")
     axes[2].set(ylabel="toes with which Table 4.1\nis as printed [mm]", xlabel="friction of the floor")
     for ax in axes:
         ax.legend(fontsize=8)
