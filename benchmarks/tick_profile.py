@@ -22,6 +22,7 @@ import jax.numpy as jnp  # noqa: E402
 from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
 from jaxbiped.sim import ground, mjx_adapter, plant, statistics  # noqa: E402
+from jaxbiped.sim.physics.compliant import seen  # noqa: E402
 from jaxbiped.sim.tick import servo_reference  # noqa: E402
 
 DT = 5e-4
@@ -67,7 +68,10 @@ def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
         reference, _ = refer(t)
         _, torque, _ = plant.joint_torque(world, reference, q, v, jnp.zeros((2, 6)), DT)
         new = v + DT * accelerate(body, drag, force.at[6:].add(torque.reshape(-1)))
-        return advance(q, new), new, statistics.update(statistics.init(body), body, contact, t, 5e-4)
+        return advance(q, new), new, _noted(seen(body, contact, torque), t)
+
+    def _noted(saw: Any, t: Any) -> Any:
+        return statistics.update(statistics.init(saw), saw, t, DT)
 
     body = jax.jit(jax.vmap(move))(many_qpos, many_qvel, times)
     contact = jax.jit(jax.vmap(touch))(body)

@@ -2,7 +2,7 @@
 
 Every scenario: 0 to 2 pads or holes under footholds, whole or with an edge at a random place under the sole; a load of
 0 to 20 kg at a random time; friction 0.3 to 1.0; every link's mass within 10 %; a push of 20 to 150 N for 0.1 s; no
-noise. C MuJoCo walks each with three models of the contact (`jaxbiped.sim.c_world`). What counts is the agreement
+noise. C MuJoCo walks each with three models of the contact (`jaxbiped.sim.physics.c_world`). What counts is the agreement
 where the three agree with each other: where they do not, the contact itself decides, and nobody knows who is right.
 
     python sweeps/agreement.py --json runs/agreement.json
@@ -56,8 +56,9 @@ from jaxbiped.sim import (
     require_swing_clears,
     swing_height,
 )
-from jaxbiped.sim.c_world import CONTACTS
-from jaxbiped.sim.replay_c import replay_many
+from jaxbiped.sim.lockstep import run as run_in_c
+from jaxbiped.sim.options import C_MUJOCO
+from jaxbiped.sim.physics.c_world import CONTACTS
 from jaxbiped.sim.scenario import PAD_AROUND, PAD_BEHIND, RANGES, pad_under
 
 OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED = (
@@ -107,8 +108,7 @@ OURS = "compliant"
 COLUMNS = ("status", "end_time_s", "tilt_deg", "force_N", "slip_mm", "reflexes", "reflex_time_s")
 EVERY = 5.0
 """How often the progress is told [s]."""
-SOURCES = ("robot", "kinematics", "planner", "adapt", "sim/c_world.py", "sim/replay_c.py", "sim/model.py")
-SOURCES = (*SOURCES, "sim/equilibrium.py", "sim/feed_forward.py", "sim/sensors.py", "sim/scenario.py")
+SOURCES = ("robot", "kinematics", "planner", "adapt", "sim")
 """Parts of the package that a walk in C MuJoCo depends on."""
 Columns = dict[str, np.ndarray]
 """Of walks, by the names in COLUMNS."""
@@ -357,18 +357,19 @@ def natives(
     missing = [i for i, row in enumerate(rows) if row is None]
     last = 0.0
 
-    def shown(reached: float, walking: int) -> None:
+    def shown(share: float) -> None:
         nonlocal last
         if time.monotonic() > last + 1.0:
             last = time.monotonic()
-            told(f"{walking} of {len(missing)} walk in C MuJoCo", reached / DURATION)
+            told(f"{len(missing)} in C MuJoCo", share)
 
     if missing:
         told("C MuJoCo", 0.0)
         contacts, left = zip(*(walks[i] for i in missing), strict=True)
-        done = replay_many(params, controller, stacked(left), DURATION, options, contact=contacts, told=shown)
-        for i, one in zip(missing, done, strict=True):
-            rows[i] = row = {name: value[0] for name, value in columns(stacked([one])).items()}
+        simulation = prepare(params, controller, replace(options, contact=C_MUJOCO))
+        table = columns(run_in_c(simulation, stacked(left), DURATION, shown, contacts))
+        for number, i in enumerate(missing):
+            rows[i] = row = {name: value[number] for name, value in table.items()}
             keep(job.cache, keys[i], row)
     known = [row for row in rows if row is not None]
     table = {name: np.stack([row[name] for row in known]).reshape(len(CONTACTS), -1) for name in COLUMNS}

@@ -30,10 +30,11 @@ def simulate(name: str, steps: int | None, mjx_seconds: float) -> tuple[dict[str
     options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
     controller, flat = jb.adapt.Controller(gait), jb.sim.Scenario.flat(rectangles=1)
     duration = float(gait.duration) + 1.0
-    references = jb.sim.open_loop_references(robot, controller, duration, options)
     walks = {
         "compliant ground": lambda: jb.sim.rollout(robot, controller, flat, duration, options),
-        "C MuJoCo": lambda: jb.sim.replay_c(robot, controller, flat, duration, options, references),
+        "C MuJoCo": lambda: jb.sim.rollout(
+            robot, controller, flat, duration, replace(options, contact="c_mujoco")
+        ),
     }
     if mjx_seconds > 0.0:
         walks["MJX contacts"] = lambda: jb.sim.rollout(

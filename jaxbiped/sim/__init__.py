@@ -2,7 +2,6 @@
 
 from jaxbiped.sim.model import build_model, build_spec, mjcf, write_mjcf
 from jaxbiped.sim.options import Options, own_friction, own_options
-from jaxbiped.sim.replay_c import open_loop_references, replay_c
 from jaxbiped.sim.scenario import Scenario, require_clear_start, require_swing_clears, swing_height
 from jaxbiped.sim.simulation import Simulation, prepare, rectangles_of, rollout
 from jaxbiped.sim.statistics import STATUS_TEXT, Statistics
@@ -20,12 +19,10 @@ __all__ = [
     "build_model",
     "build_spec",
     "mjcf",
-    "open_loop_references",
     "own_friction",
     "own_options",
     "prepare",
     "rectangles_of",
-    "replay_c",
     "require_clear_start",
     "require_swing_clears",
     "rollout",

@@ -21,11 +21,6 @@ from jaxbiped.sim import mjx_adapter, spatial
 from jaxbiped.sim.mjx_adapter import BodyMotion, JointMatrix
 from jaxbiped.sim.scenario import EDGE_WIDTH, Ground, Terrain
 
-FORCE_FILTER = 0.005
-"""Time constant of each of the two stages by which corner forces are low-passed [s]. A touchdown lasts a tick or two,
-and how much of it a single reading meets depends on where in a tick the foot comes down; its impulse does not, and what
-a second stage makes of it hardly does."""
-
 
 class Contact(eqx.Module):
     """Ground forces at one instant."""
@@ -162,13 +157,6 @@ def normal_force(contact: Contact) -> Float[Array, "2 4"]:
     steepness = jnp.sum(contact.gradient * contact.gradient, axis=-1)
     along = jnp.sum(contact.force * contact.gradient, axis=-1) / jnp.sqrt(steepness)
     return jnp.maximum(along, 0.0)
-
-
-def low_passed(filtered: Float[Array, "2 2 4"], contact: Contact, dt: float) -> Float[Array, "2 2 4"]:
-    """Both stages of the low-passed vertical corner forces after one more tick of `dt` [s]; they keep the impulse."""
-    gain = dt / (FORCE_FILTER + dt)
-    first = filtered[0] + gain * (contact.force[..., 2] - filtered[0])
-    return jnp.stack([first, filtered[1] + gain * (first - filtered[1])])
 
 
 def damping_matrix(body: BodyMotion, contact: Contact) -> JointMatrix:

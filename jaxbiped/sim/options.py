@@ -11,8 +11,8 @@ from jaxbiped.sim.plant import PAYLOAD_MODELS
 
 DURATION = Quantity("s", 0.0, 3600.0, above=True)
 """Of a walk."""
-COMPLIANT, MJX = "compliant", "mjx"
-CONTACTS = (COMPLIANT, MJX)
+COMPLIANT, MJX, C_MUJOCO = "compliant", "mjx", "c_mujoco"
+CONTACTS = (COMPLIANT, MJX, C_MUJOCO)
 MAX_TICKS = 1_000_000
 
 
@@ -28,7 +28,8 @@ class Options(eqx.Module):
     payload_model: str = eqx.field(static=True, default=plant.EXACT)
     """`exact` (welded cube) or `thesis` (elkahlout Eqs. 3.8-3.10)."""
     contact: str = eqx.field(static=True, default=COMPLIANT)
-    """`compliant` (see `ground`) or `mjx` (MuJoCo's own contacts; slower, no holes)."""
+    """`compliant` (see `ground`), `mjx` (MuJoCo's own contacts in MJX; slower, no holes) or `c_mujoco` (C MuJoCo on the
+    host, for whole walks only); see `physics`."""
     noise: bool = eqx.field(static=True, default=False)
     """Add the scenario's sensor noise."""
     delay_room: int = eqx.field(static=True, default=0)

@@ -92,7 +92,7 @@ def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: T
 
 
 def _walk(states: State, trace: Sample | None = None) -> Walk:
-    return Walk(states.physics.statistics, trace, states.controller)
+    return Walk(states.record.statistics, trace, states.controller)
 
 
 def _ticks(simulation: PureSimulation) -> int:

@@ -13,9 +13,8 @@ from jaxbiped.kinematics import pose
 from jaxbiped.kinematics.rotation import about_x, about_y
 from jaxbiped.robot import LINK_NAMES, SIDE_NAMES, RobotParams
 from jaxbiped.robot.layout import BIPED, TURNING
-from jaxbiped.sim.ground import Contact
-from jaxbiped.sim.mjx_adapter import BodyMotion
 from jaxbiped.sim.scenario import SensorFaults
+from jaxbiped.sim.seen import Seen
 
 BOUNCE_PERIOD = 1e-3
 """For how long a bouncing switch stays open or closed [s]."""
@@ -66,18 +65,17 @@ def roll_pitch_yaw(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
     return jnp.stack([roll, pitch, jnp.arctan2(rotation[1, 0], rotation[0, 0])])
 
 
-def centre_of_pressure(contact: Contact, otherwise: Float[Array, "2"]) -> Float[Array, "2"]:
+def centre_of_pressure(seen: Seen, otherwise: Float[Array, "2"]) -> Float[Array, "2"]:
     """Centre of the vertical forces at the corners, seen from above [m]; `otherwise` while nothing is loaded."""
-    weight = contact.force[..., 2]
+    weight = seen.force[..., 2]
     total = weight.sum()
     loaded = total > LOADED
-    moment = jnp.einsum("fc,fci->i", weight, contact.p_world_corner[..., :2])
+    moment = jnp.einsum("fc,fci->i", weight, seen.p_world_corner[..., :2])
     return jnp.where(loaded, moment / jnp.where(loaded, total, 1.0), otherwise)
 
 
 def sense(
-    body: BodyMotion,
-    contact: Contact,
+    seen: Seen,
     qpos: Float[Array, " nq"],
     qvel: Float[Array, " nv"],
     switches: SwitchState,
@@ -86,20 +84,20 @@ def sense(
     faults: SensorFaults,
 ) -> Sensed:
     """Read every sensor. Ankle wrenches are those of the ground; the foot's own weight and inertia are left out."""
-    arm = contact.p_world_corner - body.p_world_foot[:, None]
-    force = contact.force.sum(axis=1)
-    moment = jnp.cross(arm, contact.force).sum(axis=1)
-    to_foot = jnp.swapaxes(body.rot_world_foot, -1, -2)
+    arm = seen.p_world_corner - seen.p_world_foot[:, None]
+    force = seen.force.sum(axis=1)
+    moment = jnp.cross(arm, seen.force).sum(axis=1)
+    to_foot = jnp.swapaxes(seen.rot_world_foot, -1, -2)
     wrench = jnp.concatenate(
         [jnp.einsum("fij,fj->fi", to_foot, force), jnp.einsum("fij,fj->fi", to_foot, moment)], 1
     )
-    roll, pitch, yaw = roll_pitch_yaw(body.rot_world_trunk)
-    forward, c, s = zmp - body.p_world_trunk[:2], jnp.cos(yaw), jnp.sin(yaw)
+    roll, pitch, yaw = roll_pitch_yaw(seen.rot_world_trunk)
+    forward, c, s = zmp - seen.p_world_trunk[:2], jnp.cos(yaw), jnp.sin(yaw)
     return Sensed(
         time=time,
         switch=bouncing(switches, time, faults),
         switch_time=switches.time,
-        corner_force=contact.force[..., 2],
+        corner_force=seen.force[..., 2],
         ankle_wrench=wrench,
         angle=BIPED.leg_angles(qpos),
         speed=BIPED.leg_speeds(qvel),

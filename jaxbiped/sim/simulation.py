@@ -14,8 +14,9 @@ import numpy as np
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import is_concrete
 from jaxbiped.robot import RobotParams
-from jaxbiped.sim import feed_forward, mjx_adapter, mjx_contacts, segments
-from jaxbiped.sim.options import COMPLIANT, DURATION, MJX, Options
+from jaxbiped.sim import feed_forward, lockstep, mjx_adapter, segments
+from jaxbiped.sim.options import C_MUJOCO, DURATION, MJX, Options
+from jaxbiped.sim.physics import mjx_contacts
 from jaxbiped.sim.scenario import Scenario, require_clear_start
 from jaxbiped.sim.segments import Told
 from jaxbiped.sim.stability import require_stable_dt
@@ -36,11 +37,8 @@ class Simulation(PureSimulation):
         Raises:
             ValueError: for a duration, a terrain or a tick that is not allowed.
         """
-        require_allowed(self.robot, self.controller, scenario, duration, self.options)
-        walks = segments.run(
-            self, jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scenario), duration, told
-        )
-        return jax.tree.map(lambda leaf: leaf[0], walks)
+        batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scenario)
+        return jax.tree.map(lambda leaf: leaf[0], self.run_many(batch, duration, told))
 
     def run_many(
         self, scenarios: Scenario, duration: float, told: Told | None = None, lanes: int | None = None
@@ -51,12 +49,15 @@ class Simulation(PureSimulation):
             scenarios: what is walked in.
             duration: how long every walk is [s].
             told: is told from time to time which fraction of the walks is done.
-            lanes: how many walk at once, a lane that has finished taking the next scenario; None: all of them.
+            lanes: how many walk at once, a lane that has finished taking the next scenario; None: all of them, as
+                always in C MuJoCo.
 
         Raises:
             ValueError: for a duration, a terrain or a tick that is not allowed.
         """
         require_allowed(self.robot, self.controller, scenarios, duration, self.options)
+        if self.options.contact == C_MUJOCO:
+            return lockstep.run(self, scenarios, duration, told)
         return segments.run(self, scenarios, duration, told, lanes)
 
 
@@ -72,10 +73,10 @@ def prepare(
         rectangles: how many a terrain has, for MuJoCo's own contacts only.
     """
     options = options or Options()
-    if options.contact == COMPLIANT:
-        model = mjx_adapter.base_model(robot)
-    else:
+    if options.contact == MJX:
         model = mjx_contacts.base_model(robot, rectangles, options.dt)
+    else:
+        model = mjx_adapter.base_model(robot)
     table = feed_forward.none()
     if options.feed_forward:
         table = feed_forward.plan(robot, controller.gait, feed_forward.rows(controller.gait))

@@ -9,8 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbiped.kinematics import leg
 from jaxbiped.planner import TaskSpace, support
 from jaxbiped.robot import RobotParams
-from jaxbiped.sim.ground import Contact
-from jaxbiped.sim.mjx_adapter import BodyMotion
+from jaxbiped.sim.seen import Seen
 from jaxbiped.sim.sensors import roll_pitch_yaw
 
 OK, FELL, NONFINITE, AIRBORNE = 0, 1, 2, 3
@@ -74,9 +73,9 @@ class Statistics(eqx.Module):
     """Pelvis over the lower ankle at the start [m]."""
 
 
-def init(body: BodyMotion) -> Statistics:
+def init(seen: Seen) -> Statistics:
     """Before the first tick."""
-    zero = jnp.zeros((), body.centre.dtype)
+    zero = jnp.zeros((), seen.gap.dtype)
     return Statistics(
         status=jnp.array(OK, jnp.int32),
         end_time=zero,
@@ -90,24 +89,22 @@ def init(body: BodyMotion) -> Statistics:
         support_time=zero,
         touch_time=jnp.full(2, -1.0, zero.dtype),
         touch_impulse=jnp.zeros(2, zero.dtype),
-        anchor=body.p_world_foot[:, :2],
+        anchor=seen.p_world_foot[:, :2],
         loaded=jnp.ones(2, bool),
         foot_force=jnp.zeros(2, zero.dtype),
-        p_world_foot=body.p_world_foot[:, :2],
+        p_world_foot=seen.p_world_foot[:, :2],
         out_of_reach_time=zero,
-        p_world_trunk=body.p_world_trunk,
-        pelvis_height=body.p_world_trunk[2] - body.p_world_foot[:, 2].min(),
+        p_world_trunk=seen.p_world_trunk,
+        pelvis_height=seen.p_world_trunk[2] - seen.p_world_foot[:, 2].min(),
     )
 
 
-def update(
-    stats: Statistics, body: BodyMotion, contact: Contact, time: Float[Array, ""], dt: float
-) -> Statistics:
-    """After one physics tick of `dt` that ended at `time` [s], from the body and contact at its start."""
-    vertical = contact.force[..., 2].sum(axis=1)
+def update(stats: Statistics, seen: Seen, time: Float[Array, ""], dt: float) -> Statistics:
+    """After one physics tick of `dt` that ended at `time` [s], from what it saw at its start."""
+    vertical = seen.force[..., 2].sum(axis=1)
     loaded = vertical > LOADED
     landed, left = loaded & ~stats.loaded, stats.loaded & ~loaded
-    place, before = body.p_world_foot[:, :2], stats.foot_force
+    place, before = seen.p_world_foot[:, :2], stats.foot_force
     # Where in the tick the force crossed LOADED, and where the foot was then: landing and leaving take effect there.
     crosses = landed | left
     share = jnp.where(crosses, (LOADED - before) / jnp.where(crosses, vertical - before, 1.0), 1.0)
@@ -121,12 +118,12 @@ def update(
     impulse = jnp.where(landed, 0.0, stats.touch_impulse) + within * vertical
     reached = jnp.where(left[:, None], crossed, place)
     slip = jnp.where(loaded | left, jnp.sqrt(jnp.sum((reached - anchor) ** 2, axis=1) + 1e-18), 0.0)
-    tilt = jnp.abs(roll_pitch_yaw(body.rot_world_trunk)[:2])
-    low = body.p_world_trunk[2] - body.p_world_foot[:, 2].min() < FALL_HEIGHT * stats.pelvis_height
+    tilt = jnp.abs(roll_pitch_yaw(seen.rot_world_trunk)[:2])
+    low = seen.p_world_trunk[2] - seen.p_world_foot[:, 2].min() < FALL_HEIGHT * stats.pelvis_height
     fell = (jnp.max(tilt) > FALL_TILT) | low
     support_time = jnp.where(vertical.sum() > TOUCHING, time, stats.support_time)
     airborne = time - support_time > AIRBORNE_TIME
-    finite = jnp.all(jnp.isfinite(body.p_world_trunk)) & jnp.all(jnp.isfinite(vertical))
+    finite = jnp.all(jnp.isfinite(seen.p_world_trunk)) & jnp.all(jnp.isfinite(vertical))
     fine = jnp.where(airborne, AIRBORNE, OK)
     return Statistics(
         status=jnp.where(~finite, NONFINITE, jnp.where(fell, FELL, fine)).astype(jnp.int32),
@@ -146,7 +143,7 @@ def update(
         foot_force=vertical,
         p_world_foot=place,
         out_of_reach_time=stats.out_of_reach_time,
-        p_world_trunk=body.p_world_trunk,
+        p_world_trunk=seen.p_world_trunk,
         pelvis_height=stats.pelvis_height,
     )
 
@@ -154,7 +151,7 @@ def update(
 def update_margins(
     stats: Statistics,
     robot: RobotParams,
-    contact: Contact,
+    seen: Seen,
     zmp: Float[Array, "2"],
     asked: TaskSpace,
     out_of_reach: Bool[Array, ""],
@@ -165,13 +162,13 @@ def update_margins(
     Args:
         stats: so far.
         robot: nominal.
-        contact: of the last physics tick.
+        seen: in the last physics tick.
         zmp: centre of pressure [m].
         asked: targets of this tick.
         out_of_reach: whether inverse kinematics had to move them.
         dt: [s].
     """
-    inside = support.margin(contact.p_world_corner[..., :2].reshape(8, 2), jnp.repeat(stats.loaded, 4), zmp)
+    inside = support.margin(seen.p_world_corner[..., :2].reshape(8, 2), jnp.repeat(stats.loaded, 4), zmp)
     reach = reach_margin(robot, asked)
     return eqx.tree_at(
         lambda s: (s.zmp_margin, s.reach_margin, s.out_of_reach_time),

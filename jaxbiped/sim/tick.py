@@ -14,23 +14,15 @@ from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at
 from jaxbiped.robot import RobotParams
 from jaxbiped.robot.layout import BIPED
-from jaxbiped.sim import (
-    compliant,
-    equilibrium,
-    feed_forward,
-    ground,
-    mjx_contacts,
-    plant,
-    sensors,
-    statistics,
-)
-from jaxbiped.sim.compliant import Physics, frozen
+from jaxbiped.sim import equilibrium, feed_forward, ground, plant, sensors, statistics
 from jaxbiped.sim.feed_forward import FeedForward
-from jaxbiped.sim.ground import Contact
-from jaxbiped.sim.mjx_adapter import BodyMotion
-from jaxbiped.sim.options import MJX, Options
+from jaxbiped.sim.options import COMPLIANT, MJX, Options
+from jaxbiped.sim.physics import compliant, mjx_contacts
+from jaxbiped.sim.physics.contract import Advance, Physics
 from jaxbiped.sim.plant import Plant, World
+from jaxbiped.sim.record import Record, frozen
 from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.seen import Seen
 from jaxbiped.sim.sensors import Delay
 from jaxbiped.sim.servo import Reference
 from jaxbiped.sim.statistics import Statistics
@@ -42,6 +34,7 @@ class State(eqx.Module):
     world: World
     """What is walked in; the same in every tick."""
     physics: Physics
+    record: Record
     controller: ControllerState
     reference: Reference
     """Of the servos until the next tick."""
@@ -60,7 +53,7 @@ class State(eqx.Module):
     @property
     def stopped(self) -> Bool[Array, ""]:
         """Whether it goes no further: the robot has failed, or the time is over."""
-        return (self.physics.statistics.status != statistics.OK) | (self.left <= 0)
+        return self.record.failed | (self.left <= 0)
 
 
 class Sample(eqx.Module):
@@ -88,8 +81,8 @@ class Sample(eqx.Module):
     """MuJoCo coordinates, for replay and drawing."""
     targets: Targets
     """What the controller asked for."""
-    filtered_corner_force: Float[Array, "*n 2 4"] | None = None
-    """Vertical force on each sole corner, low-passed by `ground.low_passed` [N]; None of walks in C MuJoCo."""
+    filtered_corner_force: Float[Array, "*n 2 4"]
+    """Vertical force on each sole corner, low-passed by `record.low_passed` [N]."""
 
 
 class Walk(eqx.Module):
@@ -109,6 +102,8 @@ Rate = Callable[[Sample, Bool[Array, ""]], Float[Array, " m"]]
 """What is to be integrated over a walk, of one sample and of whether the robot has not failed so far."""
 
 
+ENGINES: dict[str, Advance] = {COMPLIANT: compliant.advance, MJX: mjx_contacts.advance}
+"""By `Options.contact`, what moves the robot in a pure tick; C MuJoCo moves whole walks, see `lockstep`."""
 _Self = TypeVar("_Self", bound="PureSimulation")
 
 
@@ -147,41 +142,56 @@ class PureSimulation(eqx.Module):
             qpos=qpos,
             qvel=jnp.zeros(BIPED.nv, qpos.dtype),
             integral=jnp.zeros((2, 6), qpos.dtype),
-            switches=sensors.init_switches(touch.gap, scenario.sensors),
             pressed=ground.normal_force(touch),
-            filtered=jnp.stack([touch.force[..., 2]] * 2),
-            statistics=statistics.init(body),
         )
-        zmp = sensors.centre_of_pressure(touch, body.p_world_trunk[:2])
-        _, delay = _sense(world, self.options, physics, body, touch, zmp, zero, None)
+        seen = compliant.seen(body, touch, physics.integral)
+        record = Record.begun(seen, scenario.sensors)
+        zmp = sensors.centre_of_pressure(seen, body.p_world_trunk[:2])
+        _, delay = _sense(world, self.options, physics, record, seen, zmp, zero, None)
         first = zero + self.options.control_dt
         left = jnp.asarray(ticks, jnp.int32)
-        state = State(world.world, physics, self.controller.init(), reference, delay, zmp, zero, first, left)
+        state = State(
+            world.world, physics, record, self.controller.init(), reference, delay, zmp, zero, first, left
+        )
         # Types that depend on nothing: else the first segment would be compiled for others than the second.
         return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), state)
 
     def tick(self, state: State) -> tuple[State, Sample]:
         """One control tick: move, sense, adapt, track, record; pure. A walk that has stopped stays as it is."""
+        return self.conclude(
+            state, *_physics_ticks(Plant(self.robot, self.model, state.world), self.options, state)
+        )
+
+    def conclude(self, state: State, physics: Physics, record: Record, seen: Seen) -> tuple[State, Sample]:
+        """What a control tick does once the robot has moved; the same for every engine; pure.
+
+        Args:
+            state: before the tick.
+            physics: after the last physics tick.
+            record: after the last physics tick.
+            seen: by the last physics tick.
+        """
         options, world = self.options, Plant(self.robot, self.model, state.world)
-        physics, (body, touch, applied) = _physics_ticks(world, options, state)
-        zmp, time = sensors.centre_of_pressure(touch, state.zmp), state.next_time
-        sensed, delay = _sense(world, options, physics, body, touch, zmp, time, state.delay)
+        zmp, time = sensors.centre_of_pressure(seen, state.zmp), state.next_time
+        sensed, delay = _sense(world, options, physics, record, seen, zmp, time, state.delay)
         controller, targets = self.controller.step(state.controller, sensed)
         reference, status = servo_reference(self.robot, targets, self.torque)
         stats = statistics.update_margins(
-            physics.statistics,
+            record.statistics,
             self.robot,
-            touch,
+            seen,
             zmp,
             targets.position,
             jnp.any(status != 0),
             options.control_dt,
         )
-        physics = eqx.tree_at(lambda p: p.statistics, physics, stats)
+        record = eqx.tree_at(lambda r: r.statistics, record, stats)
         following = (physics.tick // options.control_every + 1) * options.control_dt
-        new = State(state.world, physics, controller, reference, delay, zmp, time, following, state.left - 1)
+        new = State(
+            state.world, physics, record, controller, reference, delay, zmp, time, following, state.left - 1
+        )
         new = frozen(state.stopped, state, new)
-        return new, _sample(world, new, body, touch, applied, targets)
+        return new, _sample(world, new, seen, targets)
 
     def walk(self, scenario: Scenario, ticks: int | Int[Array, ""], rate: Rate | None = None) -> Walk:
         """A whole walk, pure: to be mapped over scenarios and differentiated (forward).
@@ -197,7 +207,7 @@ class PureSimulation(eqx.Module):
             state, total = carry
             state, sample = self.tick(state)
             if rate is not None:
-                upright = state.physics.statistics.status == statistics.OK
+                upright = ~state.record.failed
                 total = total + options.control_dt * rate(sample, upright)
             return (state, total), sample
 
@@ -214,7 +224,7 @@ class PureSimulation(eqx.Module):
             assert isinstance(ticks, int)
             carry, trace = jax.lax.scan(record, carry, None, length=ticks // options.trace_every)
         state, total = carry
-        return Walk(state.physics.statistics, trace, state.controller, total)
+        return Walk(state.record.statistics, trace, state.controller, total)
 
     def ticks(self, duration: float) -> int:
         """Control ticks of so long a walk [s]."""
@@ -231,18 +241,18 @@ def _sense(
     world: Plant,
     options: Options,
     physics: Physics,
-    body: BodyMotion,
-    touch: Contact,
+    record: Record,
+    seen: Seen,
     zmp: Float[Array, "2"],
     time: Float[Array, ""],
     delay: Delay | None,
 ) -> tuple[Sensed, Delay | None]:
     """What reaches the controller: the readings, with their noise and their delay if the options ask for them."""
     faults = world.scenario.sensors
-    sensed = sensors.sense(body, touch, physics.qpos, physics.qvel, physics.switches, zmp, time, faults)
+    sensed = sensors.sense(seen, physics.qpos, physics.qvel, record.switches, zmp, time, faults)
     if options.noise:
         every, dt = options.control_every, options.control_dt
-        sensed = sensors.add_noise(world.robot, sensed, touch.p_world_corner, faults, physics.tick, every, dt)
+        sensed = sensors.add_noise(world.robot, sensed, seen.p_world_corner, faults, physics.tick, every, dt)
     if options.delay_room == 0:
         return sensed, None
     delay = Delay.filled(sensed, options.delay_room) if delay is None else delay
@@ -250,22 +260,33 @@ def _sense(
     return sensed, delay
 
 
-def _physics_ticks(
-    world: Plant, options: Options, state: State
-) -> tuple[Physics, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
-    """`control_every` physics ticks; also what the last one saw at its start."""
-    physics_tick = mjx_contacts.physics_tick if options.contact == MJX else compliant.physics_tick
+def _physics_ticks(world: Plant, options: Options, state: State) -> tuple[Physics, Record, Seen]:
+    """`control_every` physics ticks; also what the last one saw."""
+    if options.contact not in ENGINES:
+        allowed = ", ".join(ENGINES)
+        raise ValueError(f"contact: got {options.contact!r}, which has no pure tick; allowed: {allowed}")
+    advance = ENGINES[options.contact]
 
-    def tick(carry: tuple[Physics, Reference], _: None):
-        physics, reference = carry
-        physics, seen = physics_tick(world, options.dt, reference, physics)
-        return (physics, reference.later(options.dt)), seen
+    def tick(carry: tuple[Physics, Record, Reference], _: None):
+        physics, record, reference = carry
+        new, seen = advance(world, options.dt, reference, physics)
+        physics, record = observed(physics, record, new, seen, options.dt, world.scenario)
+        return (physics, record, reference.later(options.dt)), seen
 
+    carry = (state.physics, state.record, state.reference)
     if options.control_every == 1:
-        return physics_tick(world, options.dt, state.reference, state.physics)
-    carry = (state.physics, state.reference)
-    (physics, _), seen = jax.lax.scan(tick, carry, None, length=options.control_every)
-    return physics, jax.tree.map(lambda leaf: leaf[-1], seen)
+        (physics, record, _), seen = tick(carry, None)
+        return physics, record, seen
+    (physics, record, _), seen = jax.lax.scan(tick, carry, None, length=options.control_every)
+    return physics, record, jax.tree.map(lambda leaf: leaf[-1], seen)
+
+
+def observed(
+    physics: Physics, record: Record, moved: Physics, seen: Seen, dt: float, scenario: Scenario
+) -> tuple[Physics, Record]:
+    """Physics and record after one physics tick that an engine has `moved`; a robot that has failed stays as it is."""
+    noted = record.later(seen, physics.tick * dt, dt, scenario.sensors)
+    return frozen(record.failed, (physics, record), (moved, noted))
 
 
 def servo_reference(
@@ -280,26 +301,19 @@ def servo_reference(
     return Reference(angle, speed, torque.at(targets.time)), status
 
 
-def _sample(
-    world: Plant,
-    state: State,
-    body: BodyMotion,
-    touch: Contact,
-    torque: Float[Array, "2 6"],
-    targets: Targets,
-) -> Sample:
-    below = world.robot.ankle_height * body.rot_world_foot[:, :, 2]
+def _sample(world: Plant, state: State, seen: Seen, targets: Targets) -> Sample:
+    below = world.robot.ankle_height * seen.rot_world_foot[:, :, 2]
     return Sample(
         time=state.time,
-        p_world_trunk=body.p_world_trunk,
-        roll_pitch_yaw=sensors.roll_pitch_yaw(body.rot_world_trunk),
-        p_world_sole=body.p_world_foot - below,
-        foot_force=touch.force.sum(axis=1),
-        corner_force=touch.force[..., 2],
+        p_world_trunk=seen.p_world_trunk,
+        roll_pitch_yaw=sensors.roll_pitch_yaw(seen.rot_world_trunk),
+        p_world_sole=seen.p_world_foot - below,
+        foot_force=seen.force.sum(axis=1),
+        corner_force=seen.force[..., 2],
         zmp_world=state.zmp,
-        switch=state.physics.switches.closed,
-        torque=torque,
+        switch=state.record.switches.closed,
+        torque=seen.torque,
         qpos=state.physics.qpos,
         targets=targets,
-        filtered_corner_force=state.physics.filtered[1],
+        filtered_corner_force=state.record.filtered[1],
     )

@@ -244,7 +244,9 @@ BAD = {
     f"{SMALL}[simulation]\ndt = 1\n": ["simulation.dt: got 1 s, allowed: >= 1e-05 and <= 0.01 s", "1 ms is"],
     f"{SMALL}[simulation]\ncontrol_every = 0\n": ["simulation.control_every: got 0"],
     f"{SMALL}[simulation]\npayload_model = 'exct'\n": ["payload_model: got 'exct'", "did you mean 'exact'?"],
-    f"{SMALL}[simulation]\ncontact = 'hard'\n": ["simulation.contact: got 'hard', allowed: compliant, mjx"],
+    f"{SMALL}[simulation]\ncontact = 'hard'\n": [
+        "simulation.contact: got 'hard', allowed: compliant, mjx, c_mujoco"
+    ],
     f"{SMALL}[simulation]\nduration = -1\n": ["simulation.duration: got -1 s, allowed: > 0"],
     f"{SMALL}[simulation.duration]\nof = 2\n": ["simulation.duration.of: unknown, allowed: off"],
     f"{SMALL}[simulation]\nbatch = 0\n": ["simulation.batch: got 0"],

@@ -49,6 +49,7 @@ def trace(elkahlout) -> sim.Sample:
         torque=jnp.zeros((N, 2, 6)),
         qpos=jnp.asarray(qpos),
         targets=targets,
+        filtered_corner_force=jnp.zeros((N, 2, 4)),
     )
 
 

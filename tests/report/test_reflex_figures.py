@@ -56,6 +56,7 @@ def trace(gait) -> sim.Sample:
         torque=jnp.zeros((N, 2, 6)),
         qpos=jnp.zeros((N, 19)),
         targets=targets,
+        filtered_corner_force=jnp.asarray(rng.uniform(80, 120, (N, 2, 4)), jnp.float32),
     )
 
 

@@ -36,6 +36,7 @@ def trace_of(targets, seed, frozen_from=N):
         torque=jnp.zeros((N, 2, 6)),
         qpos=jnp.zeros((N, 19)),
         targets=targets,
+        filtered_corner_force=jnp.asarray(rng.uniform(0, 200, (N, 2, 4)), jnp.float32),
     )
 
 

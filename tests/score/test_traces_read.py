@@ -37,6 +37,7 @@ def sample(targets: Any, time: Any, switch: Any) -> sim.Sample:
         torque=jnp.zeros((n, 2, 6)),
         qpos=jnp.zeros((n, 19)),
         targets=targets,
+        filtered_corner_force=jnp.zeros((n, 2, 4)),
     )
 
 

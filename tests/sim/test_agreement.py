@@ -11,9 +11,9 @@ import pytest
 
 from jaxbiped.batch.summary import wilson
 from jaxbiped.checked import Refusal
-from jaxbiped.sim import Options, Scenario, require_clear_start, swing_height
-from jaxbiped.sim.c_world import CONTACTS
-from jaxbiped.sim.replay_c import replay_c, replay_many
+from jaxbiped.sim import Options, Scenario, prepare, require_clear_start, swing_height
+from jaxbiped.sim.options import C_MUJOCO
+from jaxbiped.sim.physics.c_world import CONTACTS
 from jaxbiped.sim.scenario import PAD_AROUND, PAD_BEHIND
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "sweeps"))
@@ -220,13 +220,13 @@ def test_walks_in_lockstep_are_those_of_each_alone():
     params, controller, _ = agreement.set_up("elkahlout", "off")
     flat = Scenario.flat(1)
     each = [flat, flat.with_push((0.0, 900.0, 0.0), 0.05, 0.2), flat.with_push((0.0, 0.0, 5000.0), 0.02, 2.0)]
-    options = Options(feed_forward=False, trace_every=10)
-    together = replay_many(params, controller, agreement.stacked(each), 1.0, options)
-    assert [int(walk.statistics.status) for walk in together] == [0, 1, 3]
-    for scenario, walk in zip(each, together, strict=True):
-        alone = replay_c(params, controller, scenario, 1.0, options)
-        for a, b in zip(jax.tree.leaves(walk), jax.tree.leaves(alone), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5)
+    simulation = prepare(params, controller, Options(feed_forward=False, trace_every=10, contact=C_MUJOCO))
+    together = simulation.run_many(agreement.stacked(each), 1.0)
+    assert together.statistics.status.tolist() == [0, 1, 3]
+    for i, scenario in enumerate(each):
+        alone = simulation.run(scenario, 1.0)
+        for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(a[i], b, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.slow

@@ -11,8 +11,9 @@ import pytest
 
 from jaxbiped import robot
 from jaxbiped.kinematics import GRAVITY
-from jaxbiped.sim import Scenario, ground
+from jaxbiped.sim import Scenario, ground, record
 from jaxbiped.sim.mjx_adapter import BodyMotion
+from jaxbiped.sim.physics.compliant import seen
 
 TICKS = (5e-4, 1e-3, 2e-3)
 """Physics ticks [s] that all of this holds for."""
@@ -181,11 +182,13 @@ def test_low_passed_forces_keep_the_impulse_and_hardly_tell_how_it_is_split(x64,
 
     def through(share: Any) -> tuple[Any, Any]:
         force = jnp.zeros((n, 2, 4)).at[at].set(share / dt).at[at + 1].set((1.0 - share) / dt)
-        touch = ground.contact(BIPED, FLAT.ground, FLAT.terrain, sled(jnp.zeros(3), jnp.zeros(3)))
+        body = sled(jnp.zeros(3), jnp.zeros(3))
+        touch = ground.contact(BIPED, FLAT.ground, FLAT.terrain, body)
+        saw = seen(body, touch, jnp.zeros((2, 6)))
 
         def tick(filtered: Any, one: Any) -> tuple[Any, Any]:
-            now = eqx.tree_at(lambda t: t.force, touch, jnp.zeros((2, 4, 3)).at[..., 2].set(one))
-            filtered = ground.low_passed(filtered, now, dt)
+            now = eqx.tree_at(lambda s: s.force, saw, jnp.zeros((2, 4, 3)).at[..., 2].set(one))
+            filtered = record.low_passed(filtered, now, dt)
             return filtered, filtered[1]
 
         _, passed = jax.lax.scan(tick, jnp.zeros((2, 2, 4)), force)

@@ -8,8 +8,7 @@ from closed_loop import setup
 
 from jaxbiped.adapt import Controller
 from jaxbiped.sim import Options, Scenario, rollout
-from jaxbiped.sim.mjx_contacts import check_terrain
-from jaxbiped.sim.replay_c import replay_c
+from jaxbiped.sim.physics.mjx_contacts import check_terrain
 
 
 def test_holes_and_overlapping_rectangles_are_refused():
@@ -24,7 +23,7 @@ def test_holes_and_overlapping_rectangles_are_refused():
 
 
 def test_unknown_contact_is_refused():
-    with pytest.raises(ValueError, match="contact: got 'none', allowed: compliant, mjx"):
+    with pytest.raises(ValueError, match="contact: got 'none', allowed: compliant, mjx, c_mujoco"):
         Options(contact="none")
 
 
@@ -39,7 +38,9 @@ def test_second_step_onto_a_pad_is_that_of_c_mujoco(name):
     duration = float(one.gait.timing.touchdown(1)) + 0.1
     controller = Controller(one.gait)
     ours = rollout(one.params, controller, scenario, duration, options)
-    theirs = replay_c(one.params, controller, scenario, duration, options)
+    theirs = rollout(
+        one.params, controller, scenario, duration, dataclasses.replace(options, contact="c_mujoco")
+    )
     assert int(ours.statistics.status) == int(theirs.statistics.status) == 0
     assert ours.trace is not None and theirs.trace is not None
     np.testing.assert_allclose(ours.trace.qpos, theirs.trace.qpos, atol=2e-3)

@@ -15,8 +15,8 @@ from jaxbiped.adapt.reflex.planned import SHIFT
 from jaxbiped.planner import CosineGait, at
 from jaxbiped.robot import SIDE_NAMES
 from jaxbiped.sim import build_model, ground, mjx_adapter, sensors
-from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.model import CORNER_NAMES
+from jaxbiped.sim.physics.compliant import seen
 from jaxbiped.sim.sensors import Delay, SwitchState
 
 CORNERS = (2, 4)
@@ -113,39 +113,40 @@ def standing(x64):
     force[..., 2] = rng.uniform(20.0, 200.0, CORNERS)
     point = rng.normal(size=(2, 4, 3))
     zeros = jnp.zeros(CORNERS)
-    nowhere = jnp.zeros((2, 4, 3))
-    touch = Contact(zeros, zeros, nowhere, jnp.asarray(point), nowhere, jnp.asarray(force), zeros, zeros)
+    touch = ground.contact(params, flat().ground, flat().terrain, body)
+    touch = eqx.tree_at(lambda c: (c.p_world_corner, c.force), touch, as_arrays(point, force))
+    saw = seen(body, touch, jnp.zeros((2, 6)))
     state = sensors.init_switches(zeros, faults())
     zmp, time = jnp.array([0.3, -0.2]), jnp.asarray(1.5)
     q, v = as_arrays(qpos[0], qvel[0])
-    sensed = sensors.sense(body, touch, q, v, state, zmp, time, faults())
-    return qpos[0], qvel[0], body, touch, sensed
+    sensed = sensors.sense(saw, q, v, state, zmp, time, faults())
+    return qpos[0], qvel[0], saw, sensed
 
 
 def test_ankle_wrench_is_that_of_the_ground_about_the_ankle_in_foot_axes(standing):
-    _, _, body, touch, sensed = standing
+    _, _, saw, sensed = standing
     for foot in range(2):
-        rotation = np.asarray(body.rot_world_foot[foot])
+        rotation = np.asarray(saw.rot_world_foot[foot])
         force, moment = np.zeros(3), np.zeros(3)
         for corner in range(4):
-            f = np.asarray(touch.force[foot, corner])
+            f = np.asarray(saw.force[foot, corner])
             force += f
-            moment += np.cross(np.asarray(touch.p_world_corner[foot, corner] - body.p_world_foot[foot]), f)
+            moment += np.cross(np.asarray(saw.p_world_corner[foot, corner] - saw.p_world_foot[foot]), f)
         np.testing.assert_allclose(sensed.ankle_wrench[foot, :3], rotation.T @ force)
         np.testing.assert_allclose(sensed.ankle_wrench[foot, 3:], rotation.T @ moment)
 
 
 def test_the_other_readings(standing):
-    qpos, qvel, body, touch, sensed = standing
+    qpos, qvel, saw, sensed = standing
     yaw, pitch, roll = Rotation.from_quat(qpos[[4, 5, 6, 3]]).as_euler("ZYX")
     np.testing.assert_allclose(sensed.roll_pitch, [roll, pitch])
-    np.testing.assert_array_equal(sensed.corner_force, touch.force[..., 2])
+    np.testing.assert_array_equal(sensed.corner_force, saw.force[..., 2])
     np.testing.assert_array_equal(sensed.angle, qpos[7:].reshape(2, 6))
     np.testing.assert_array_equal(sensed.speed, qvel[6:].reshape(2, 6))
     np.testing.assert_array_equal(sensed.rate, qvel[3:6])
     np.testing.assert_array_equal(sensed.zmp_world, [0.3, -0.2])
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    back = np.asarray(body.p_world_trunk[:2]) + turn @ np.asarray(sensed.zmp_body)
+    back = np.asarray(saw.p_world_trunk[:2]) + turn @ np.asarray(sensed.zmp_body)
     np.testing.assert_allclose(back, [0.3, -0.2])
 
 
@@ -156,17 +157,17 @@ def test_roll_pitch_yaw(x64):
 
 
 def test_centre_of_pressure(standing):
-    _, _, _, touch, _ = standing
+    _, _, saw, _ = standing
     otherwise = jnp.array([9.0, 9.0])
-    weight, point = np.asarray(touch.force[..., 2]), np.asarray(touch.p_world_corner)
+    weight, point = np.asarray(saw.force[..., 2]), np.asarray(saw.p_world_corner)
     wanted = (weight[..., None] * point[..., :2]).sum((0, 1)) / weight.sum()
-    np.testing.assert_allclose(sensors.centre_of_pressure(touch, otherwise), wanted)
-    unloaded = eqx.tree_at(lambda c: c.force, touch, touch.force * 0.0)
+    np.testing.assert_allclose(sensors.centre_of_pressure(saw, otherwise), wanted)
+    unloaded = eqx.tree_at(lambda s: s.force, saw, saw.force * 0.0)
     np.testing.assert_array_equal(sensors.centre_of_pressure(unloaded, otherwise), otherwise)
     slope = jax.jacfwd(
-        lambda f: sensors.centre_of_pressure(eqx.tree_at(lambda c: c.force, touch, f), otherwise)
+        lambda f: sensors.centre_of_pressure(eqx.tree_at(lambda s: s.force, saw, f), otherwise)
     )
-    assert np.all(np.isfinite(np.asarray(slope(touch.force * 0.0))))
+    assert np.all(np.isfinite(np.asarray(slope(saw.force * 0.0))))
 
 
 @pytest.mark.parametrize("late", [0, 1, 3])
@@ -196,10 +197,11 @@ def on_both_feet(x64):
     force = np.zeros((2, 4, 3))
     force[..., 2] = np.random.default_rng(2).uniform(40.0, 160.0, CORNERS)
     touch = eqx.tree_at(lambda c: c.force, touch, jnp.asarray(force))
-    zmp = sensors.centre_of_pressure(touch, jnp.zeros(2))
+    saw = seen(body, touch, jnp.zeros((2, 6)))
+    zmp = sensors.centre_of_pressure(saw, jnp.zeros(2))
     q, v = as_arrays(qpos[0], qvel[0])
     state = sensors.init_switches(jnp.zeros(CORNERS), faults())
-    sensed = sensors.sense(body, touch, q, v, state, zmp, jnp.asarray(1.5), faults())
+    sensed = sensors.sense(saw, q, v, state, zmp, jnp.asarray(1.5), faults())
     return params, body, touch, sensed
 
 

@@ -9,8 +9,9 @@ import pytest
 from c_mujoco import PRESETS, as_arrays, flat, load, oracle
 
 from jaxbiped.robot import Servo
-from jaxbiped.sim import mjx_adapter, plant, sensors, servo, statistics
-from jaxbiped.sim.compliant import Physics, physics_tick
+from jaxbiped.sim import mjx_adapter, plant, servo
+from jaxbiped.sim.physics.compliant import advance
+from jaxbiped.sim.physics.contract import Physics
 from jaxbiped.sim.servo import Reference
 
 SHAPE = (2, 6)
@@ -116,7 +117,7 @@ def fly(world, start, reference):
     """Configurations of a robot in the air whose servos hold a posture, tick by tick."""
 
     def tick(state, _):
-        state, _ = physics_tick(world, DT, reference, state)
+        state, _ = advance(world, DT, reference, state)
         return state, (state.qpos, state.qvel)
 
     return jax.lax.scan(tick, start, None, length=TICKS)[1]
@@ -135,20 +136,8 @@ def airborne(params, stiffer, limited, seed):
     rng = np.random.default_rng(seed)
     qpos = np.concatenate([[0.0, 0.0, 10.0, 1.0, 0.0, 0.0, 0.0], rng.uniform(0.1, 0.4, 12)])
     qvel = rng.normal(scale=0.3, size=18)
-    body = mjx_adapter.motion(ours, *as_arrays(qpos, qvel))
-    switches = sensors.init_switches(jnp.full((2, 4), 9.0), world.scenario.sensors)
-    at_rest, no_error = jnp.zeros((), jnp.int32), jnp.zeros(SHAPE)
-    unloaded, stats = jnp.zeros((2, 4)), statistics.init(body)
-    state = Physics(
-        at_rest,
-        jnp.asarray(qpos),
-        jnp.asarray(qvel),
-        no_error,
-        switches,
-        unloaded,
-        jnp.stack([unloaded] * 2),
-        stats,
-    )
+    start, no_error, unloaded = jnp.zeros((), jnp.int32), jnp.zeros(SHAPE), jnp.zeros((2, 4))
+    state = Physics(start, jnp.asarray(qpos), jnp.asarray(qvel), no_error, unloaded)
     return world, state, oracle(params, actuated=True, timestep=DT)
 
 

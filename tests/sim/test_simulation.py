@@ -99,7 +99,7 @@ def test_ticks_by_hand_are_a_walk(surena):
         state, sample = tick(state)
         assert float(sample.time) == pytest.approx((i + 1) * COARSE.control_dt, rel=1e-6)
     walk = surena.run(scenario, 100 * COARSE.control_dt)
-    ours, theirs = state.physics.statistics, walk.statistics
+    ours, theirs = state.record.statistics, walk.statistics
     assert float(ours.peak_roll_pitch[1]) > 1e-4
     for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-4)
@@ -110,10 +110,10 @@ def test_a_robot_that_has_failed_stays_as_it_was(surena):
     scenario = Scenario.flat(1).with_push((0.0, 4000.0, 0.0), 0.01, 0.2)
     state = eqx.filter_jit(surena.start)(scenario)
     step = eqx.filter_jit(lambda state: surena.tick(state))
-    while int(state.physics.statistics.status) == 0 and float(state.time) < 2.0:
+    while int(state.record.statistics.status) == 0 and float(state.time) < 2.0:
         state, _ = step(state)
-    assert int(state.physics.statistics.status) != 0
-    end = float(state.physics.statistics.end_time)
+    assert int(state.record.statistics.status) != 0
+    end = float(state.record.statistics.end_time)
     assert float(state.time) - COARSE.control_dt < end <= float(state.time) + 1e-6
     later, sample = step(state)
     assert float(sample.time) == float(state.time)

@@ -21,11 +21,10 @@ from jaxbiped.sim import (
     mjx_adapter,
     plant,
     rollout,
-    sensors,
     stability,
-    statistics,
 )
-from jaxbiped.sim.compliant import Physics, physics_tick
+from jaxbiped.sim.physics.compliant import advance
+from jaxbiped.sim.physics.contract import Physics
 from jaxbiped.sim.servo import Reference
 
 SINKAGE = 1.2e-4
@@ -48,14 +47,8 @@ def hanging(params: RobotParams, angle: Any) -> tuple[plant.Plant, Physics]:
     """A robot in the air, at rest, with these joint angles."""
     world = plant.make_plant(params, mjx_adapter.base_model(params), FLAT)
     qpos = jnp.concatenate([jnp.array([0.0, 0.0, 10.0, 1.0, 0.0, 0.0, 0.0]), jnp.reshape(angle, -1)])
-    body = mjx_adapter.motion(world.model, qpos, jnp.zeros(18))
-    switches = sensors.init_switches(jnp.full((2, 4), 9.0), FLAT.sensors)
     still, unloaded = jnp.zeros((2, 6)), jnp.zeros((2, 4))
-    stats = eqx.tree_at(
-        lambda s: s.pelvis_height, statistics.init(body), jnp.full((), -10.0)
-    )  # never too low
-    moving = (qpos, jnp.zeros(18), still, switches, unloaded, jnp.stack([unloaded] * 2))
-    return world, Physics(jnp.zeros((), jnp.int32), *moving, stats)
+    return world, Physics(jnp.zeros((), jnp.int32), qpos, jnp.zeros(18), still, unloaded)
 
 
 @eqx.filter_jit
@@ -64,7 +57,7 @@ def fall(world: plant.Plant, state: Physics, angle: Any, dt: float, ticks: int) 
     reference = Reference(angle, jnp.zeros((2, 6)), jnp.zeros((2, 6)))
 
     def tick(state: Physics, _: None) -> Any:
-        state, _seen = physics_tick(world, dt, reference, state)
+        state, _seen = advance(world, dt, reference, state)
         return state, state.qpos[7:].reshape(2, 6)
 
     return jax.lax.scan(tick, state, None, length=ticks)[1]

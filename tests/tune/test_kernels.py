@@ -24,8 +24,8 @@ from jaxbiped.kinematics import GRAVITY
 from jaxbiped.kinematics.rotation import about_x, about_y, about_z
 from jaxbiped.score import loss
 from jaxbiped.sim import Sample, Scenario, ground, sensors, servo
-from jaxbiped.sim.ground import Contact
 from jaxbiped.sim.mjx_adapter import BodyMotion
+from jaxbiped.sim.seen import Seen
 from jaxbiped.sim.sensors import SwitchState
 
 NOT_OPTIMISED = {"xla_backend_optimization_level": 0}
@@ -340,10 +340,10 @@ def test_centre_of_pressure(x64):
     def centre(x: Numbers) -> Numbers:
         force = jnp.zeros((2, 4, 3)).at[..., 2].set(x["force"])
         points = jnp.concatenate([x["points"], jnp.zeros((2, 4, 1))], axis=-1)
-        none = jnp.zeros((2, 4))
-        nowhere = jnp.zeros((2, 4, 3))
-        touch = Contact(none, none, nowhere, points, nowhere, force, none, none)
-        return {"centre": sensors.centre_of_pressure(touch, x["otherwise"])}
+        place, turn = jnp.zeros(3), jnp.eye(3)
+        feet = jnp.zeros((2, 3)), jnp.broadcast_to(turn, (2, 3, 3))
+        seen = Seen(place, turn, *feet, points, jnp.zeros((2, 4)), force, jnp.zeros((2, 6)))
+        return {"centre": sensors.centre_of_pressure(seen, x["otherwise"])}
 
     rng, n = np.random.default_rng(2), 20
     at = {

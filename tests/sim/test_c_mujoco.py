@@ -5,6 +5,7 @@ import functools
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -13,11 +14,12 @@ from closed_loop import STANDS_FOR, setup
 
 from jaxbiped.adapt import Controller
 from jaxbiped.robot.layout import BIPED
-from jaxbiped.sim import Options, Scenario, c_world, ground
-from jaxbiped.sim.c_world import BOX, SPHERES, STIFF, build_world, level_boxes
+from jaxbiped.sim import Options, Scenario, ground, lockstep, prepare
 from jaxbiped.sim.mjx_adapter import TRUNK
 from jaxbiped.sim.model import build_spec
-from jaxbiped.sim.replay_c import open_loop_references, replay_c
+from jaxbiped.sim.options import C_MUJOCO
+from jaxbiped.sim.physics import c_world
+from jaxbiped.sim.physics.c_world import BOX, SPHERES, STIFF, build_world, level_boxes
 from jaxbiped.sim.statistics import FELL, OK
 
 FLAT = Scenario.flat()
@@ -28,17 +30,19 @@ STEPS = 5
 
 @functools.cache
 class Case:
-    """A robot, its gait, and references that all scenarios share."""
+    """A robot and its gait."""
 
     def __init__(self, name: str):
         one = setup(name, n_steps=STEPS)
         self.params, self.gait, self.weight = one.params, one.gait, one.weight
         self.options = Options(
-            feed_forward=name == "surena3", control_every=one.options.control_every, trace_every=5
+            feed_forward=name == "surena3",
+            control_every=one.options.control_every,
+            trace_every=5,
+            contact=C_MUJOCO,
         )
         self.controller = Controller(one.gait)
         self.duration = float(one.gait.duration) + STANDS_FOR
-        self.references = open_loop_references(self.params, self.controller, self.duration, self.options)
 
     def walk(
         self,
@@ -47,9 +51,11 @@ class Case:
         contact: str = SPHERES,
         **options: Any,
     ):
-        chosen = dataclasses.replace(self.options, **options)
-        duration = duration or self.duration
-        return replay_c(self.params, self.controller, scenario, duration, chosen, self.references, contact)
+        """Walk in C MuJoCo."""
+        simulation = prepare(self.params, self.controller, dataclasses.replace(self.options, **options))
+        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scenario)
+        walks = lockstep.run(simulation, one, duration or self.duration, contact=contact)
+        return jax.tree.map(lambda leaf: leaf[0], walks)
 
 
 @pytest.fixture(scope="module", params=["elkahlout", pytest.param("surena3", marks=pytest.mark.slow)])
@@ -135,21 +141,17 @@ def test_forces_of_a_box_have_the_sum_and_the_centre_of_the_contacts():
         )
 
 
-@pytest.mark.slow
-def test_closed_loop_path_gives_the_same_walk():
-    """Step the controller tick by tick instead of using its references."""
-    case = Case("surena3")
-    blind = replay_c(case.params, case.controller, FLAT, 2.0, case.options, case.references)
-    seeing = replay_c(case.params, case.controller, FLAT, 2.0, case.options)
-    for field in ("time", "p_world_trunk", "p_world_sole", "qpos", "switch"):
-        one, other = (np.asarray(getattr(w.trace, field), float) for w in (blind, seeing))
-        np.testing.assert_allclose(one, other, atol=2e-5, err_msg=field)
-
-
-def test_references_must_last():
+def test_it_is_an_engine_of_the_simulation():
+    """`run` walks there by an option; a pure tick there is none."""
     case = Case("elkahlout")
-    with pytest.raises(ValueError, match="references: got"):
-        case.walk(duration=case.duration + 1.0)
+    simulation = prepare(case.params, case.controller, case.options)
+    walk, same = simulation.run(FLAT, 0.1), case.walk(duration=0.1)
+    for a, b in zip(jax.tree.leaves(walk), jax.tree.leaves(same), strict=True):
+        np.testing.assert_array_equal(a, b)
+    with pytest.raises(
+        ValueError, match="contact: got 'c_mujoco', which has no pure tick; allowed: compliant, mjx"
+    ):
+        simulation.walk(FLAT, 1)
 
 
 @pytest.mark.parametrize("name", ["elkahlout", pytest.param("surena3", marks=pytest.mark.slow)])

@@ -1,13 +1,12 @@
 """MuJoCo's own contacts in the roll-out, through MJX's constraint solver: `Options(contact="mjx")`.
 
 Sole corners are small spheres, the ground is a plane and one box for every rectangle. Solver, contacts and integration
-are MJX's; masses, controller, sensors and statistics those of the compliant ground. Slower by an order of magnitude.
+are MJX's; masses are those of the compliant ground. It is slower by an order of magnitude.
 """
 
 import dataclasses
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -16,12 +15,13 @@ from jaxtyping import Array, Float
 from jaxbiped.planner import is_concrete
 from jaxbiped.robot import LEFT, RobotParams
 from jaxbiped.robot.layout import BIPED
-from jaxbiped.sim import ground, mjx_adapter, plant, sensors, statistics
-from jaxbiped.sim.ground import Contact
-from jaxbiped.sim.mjx_adapter import BodyMotion
+from jaxbiped.sim import ground, mjx_adapter, plant
 from jaxbiped.sim.model import build_spec
+from jaxbiped.sim.physics.compliant import seen
+from jaxbiped.sim.physics.contract import Physics
 from jaxbiped.sim.plant import Plant
 from jaxbiped.sim.scenario import Terrain
+from jaxbiped.sim.seen import Seen
 from jaxbiped.sim.servo import Reference
 
 IMPEDANCE = 0.9
@@ -76,35 +76,28 @@ def check_terrain(terrain: Terrain) -> None:
         raise ValueError('contact="mjx": got rectangles that overlap, allowed: rectangles apart')
 
 
-def physics_tick(
-    world: Plant, dt: float, reference: Reference, state: Any
-) -> tuple[Any, tuple[BodyMotion, Contact, Float[Array, "2 6"]]]:
-    """One tick by `mjx.step`; `world.model` is from `base_model`, `state` is `simulation.Physics`."""
-    time = state.tick * dt
-    ctrl = _setpoint(world, reference, state.integral)
+def advance(world: Plant, dt: float, reference: Reference, physics: Physics) -> tuple[Physics, Seen]:
+    """One tick by `mjx.step`; `world.model` is from `base_model`."""
+    time = physics.tick * dt
+    ctrl = _setpoint(world, reference, physics.integral)
     step = mjx_adapter.native_step(
         _model_now(world, time, dt),
         np.flatnonzero(world.model.geom_contype == _CORNER).reshape(2, 4),
-        state.qpos,
-        state.qvel,
+        physics.qpos,
+        physics.qvel,
         ctrl.reshape(-1),
         _push(world, time, dt),
     )
     touch = ground.contact(world.robot, world.scenario.ground, world.scenario.terrain, step.body)
     touch = dataclasses.replace(touch, force=step.corner_force)
     new = dataclasses.replace(
-        state,
-        tick=state.tick + 1,
+        physics,
+        tick=physics.tick + 1,
         qpos=step.qpos,
         qvel=step.qvel,
-        integral=state.integral + dt * (reference.angle - BIPED.leg_angles(state.qpos)),
-        switches=sensors.read_switches(state.switches, touch.gap, time, dt, world.scenario.sensors),
-        filtered=ground.low_passed(state.filtered, touch, dt),
-        statistics=statistics.update(state.statistics, step.body, touch, time + dt, dt),
+        integral=physics.integral + dt * (reference.angle - BIPED.leg_angles(physics.qpos)),
     )
-    stop = state.statistics.status != statistics.OK
-    kept = jax.tree.map(lambda old, fresh: jnp.where(stop, old, fresh), state, new)
-    return kept, (step.body, touch, step.torque.reshape(2, 6))
+    return new, seen(step.body, touch, step.torque.reshape(2, 6))
 
 
 def _setpoint(world: Plant, reference: Reference, integral: Float[Array, "2 6"]) -> Float[Array, "2 6"]:
