@@ -34,7 +34,7 @@ from jaxbiped.commands import (
 from jaxbiped.commands.common import plain
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
+COMMANDS: dict[str, tuple[type[Any], Callable[[Any], dict[str, Any]]]] = {
     "demo": (demo.Demo, demo.run),
     "walk": (walk.Walk, walk.run),
     "payload": (payload.Payload, payload.run),
@@ -121,7 +121,7 @@ def _parse(args: list[str]) -> tuple[str, Any]:
         raise InputError(_in_one_line(name, complaint.getvalue())) from None
 
 
-def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
+def _refuse_unknown(name: str, record: type[Any], args: list[str]) -> None:
     """Refuse an argument that the command does not have, before anything else is looked at."""
     known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(record)]
     known = [option for option in known if option not in _PLACES.get(name, ())]

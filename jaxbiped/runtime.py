@@ -22,7 +22,7 @@ from jax.core import Tracer
 P = ParamSpec("P")
 R = TypeVar("R")
 
-OPTIONS: dict[str, Any] = {"xla_cpu_experimental_ynn_fusion_type": ""}
+OPTIONS: dict[str, str] = {"xla_cpu_experimental_ynn_fusion_type": ""}
 """On a CPU XLA may give sums and products of a few numbers to a library (YNN), which computes some of them wrongly in
 jaxlib 0.10.2, 0.11.0 and 0.11.1 (jax-ml/jax issue 39103), and whose calls cost more than the arithmetic does: with
 none given to it a tick takes a tenth less (`benchmarks/tick_profile.py`). Other devices take no notice."""
@@ -61,7 +61,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @functools.cache
-def options() -> dict[str, Any]:
+def options() -> dict[str, str]:
     """`OPTIONS`, or none where XLA refuses them."""
     with jax.ensure_compile_time_eval():
         try:

@@ -6,8 +6,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from io import TextIOBase
+from typing import TextIO
 
+Stream = TextIO | TextIOBase
+"""A text file, or what stands in for one."""
 BAR = 24
 """Characters of the bar of progress."""
 FIRST_S, EVERY_S = 5.0, 30.0
@@ -35,7 +38,7 @@ class Progress:
     """What is done of the chunks that are being walked, in whole walks."""
 
 
-def show(stream: Any = None) -> "Shown":
+def show(stream: Stream | None = None) -> "Shown":
     """Say the progress of a run: on a terminal one line that is written over again, elsewhere a line now and then."""
     return Shown(stream or sys.stderr)
 
@@ -43,7 +46,7 @@ def show(stream: Any = None) -> "Shown":
 class Shown:
     """To be called with a `Progress` after every chunk and within it; `close` ends it."""
 
-    def __init__(self, stream: Any):
+    def __init__(self, stream: Stream):
         self._last: Progress | None = None
         self._at = time.monotonic()
         self._pulse = _Pulse(stream, self._words)
@@ -75,7 +78,7 @@ class Shown:
 
 
 @contextmanager
-def waiting(what: str, stream: Any = None, redraw: bool = True) -> Iterator[None]:
+def waiting(what: str, stream: Stream | None = None, redraw: bool = True) -> Iterator[None]:
     """Say now and then that something is still going on.
 
     Args:
@@ -106,7 +109,7 @@ def duration(seconds: float) -> str:
 class _Pulse:
     """Writes words to a stream now and then, in a thread of its own."""
 
-    def __init__(self, stream: Any, words: Callable[[], str], keep: bool = True, redraw: bool = True):
+    def __init__(self, stream: Stream, words: Callable[[], str], keep: bool = True, redraw: bool = True):
         self.stream, self.words, self.keep = stream, words, keep
         self.terminal = redraw and bool(getattr(stream, "isatty", lambda: False)())
         self.ended, self.width = threading.Event(), 0

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -191,7 +190,7 @@ def _folder(out: str | Path) -> Path:
     return Path(out)
 
 
-def _workers(given: Any) -> int | None:
+def _workers(given: int | None) -> int | None:
     return None if given is None else whole("workers", given, 1, MAX_WORKERS)
 
 

@@ -326,13 +326,13 @@ def _hypotenuse(one: float, other: float, phi: float) -> float:
     return math.sqrt(max(0.0, one**2 - 2.0 * phi * one * other + other**2))
 
 
-Rung = tuple[Any, float, float, float]
+Rung = tuple[float | int, float, float, float]
 """A value, its success rate, and the ends of the rate's interval."""
 
 
 def _ladders(cell: pl.DataFrame, signed: bool) -> Iterator[tuple[str, list[Rung]]]:
     """Values and their rates on the way out, for every way there is."""
-    rungs: list[Any] = sorted(cell.iter_rows())
+    rungs: list[Rung] = sorted(cell.iter_rows())
     if not signed:
         yield UP, rungs
         return
@@ -344,7 +344,9 @@ def _ladders(cell: pl.DataFrame, signed: bool) -> Iterator[tuple[str, list[Rung]
         yield DOWN, below
 
 
-def _limit(ladder: Sequence[Rung], level: float) -> tuple[Any, Any, Any, bool]:
+def _limit(
+    ladder: Sequence[Rung], level: float
+) -> tuple[float | int | None, float | int | None, float | int | None, bool]:
     """The limit, up to where it is sure to reach, from where on it is sure not to, and whether every value holds."""
     values = [value for value, *_ in ladder]
     held, sure, possible = (

@@ -14,6 +14,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxbiped import checked, files, planner, robot, runtime, sim
 
@@ -60,7 +61,7 @@ def load_robot(argument: str, name_or_path: str) -> robot.RobotParams:
         ) from None
 
 
-def whole(argument: str, given: Any, low: int, high: int) -> int:
+def whole(argument: str, given: object, low: int, high: int) -> int:
     """A whole number of an argument, within its range."""
     try:
         return checked.whole(argument, given, low, high)
@@ -127,7 +128,7 @@ def write(file: Path, content: bytes | str) -> Path:
         return files.write(file, content)
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """For JSON, which has no NaN and nothing infinite: null in their place."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -149,7 +150,7 @@ def draw(make: Callable[[ModuleType], Mapping[str, Any]], out: Path) -> list[str
 
 
 @runtime.jit
-def targets_at(gait: Any, times: Any) -> planner.Targets:
+def targets_at(gait: planner.Gait, times: Float[Array, " n"]) -> planner.Targets:
     """Targets of a gait at many times [s], as a leading axis."""
     return jax.vmap(lambda t: planner.at(gait, t))(times)
 

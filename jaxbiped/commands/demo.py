@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
+from jaxtyping import Array
 from tyro.conf import arg
 
 from jaxbiped import adapt, batch, kinematics, planner, robot, sim
@@ -193,7 +194,7 @@ def _pictures(heading: str, files: list[str]) -> Any:
     )
 
 
-def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.Walk]:
+def _walk_over_obstacles(params: robot.RobotParams, gait: planner.Gait) -> dict[str, sim.Walk]:
     scenario = sim.Scenario.flat()
     for step, height in OBSTACLES.items():
         scenario = scenario.with_obstacle(params, gait, step, height)
@@ -210,7 +211,7 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.
     }
 
 
-def _draw_obstacles(figures: ModuleType, gait: Any, walks: Mapping[str, Any]) -> dict[str, Any]:
+def _draw_obstacles(figures: ModuleType, gait: planner.Gait, walks: Mapping[str, Any]) -> dict[str, Any]:
     heights = ", ".join(f"{100 * height:g}" for height in OBSTACLES.values())
     what = f"surena3 over unknown obstacles of {heights} cm"
     traces: dict[str, Any] = {name: walk.trace for name, walk in walks.items()}
@@ -258,7 +259,7 @@ def _draw_elkahlout(figures: ModuleType, walk: Plan) -> dict[str, Any]:
     }
 
 
-def _cycle(gait: Any, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]:
+def _cycle(gait: planner.Gait, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]:
     """One cycle of the cosine gait over the thesis' own time [s], which begins T_ini after the start."""
     time = np.linspace(0.0, 2.0 * float(gait.params.T_c), samples)
     return time, targets_at(gait, jnp.asarray(time) + gait.params.T_ini)
@@ -267,7 +268,7 @@ def _cycle(gait: Any, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]
 def summary_of(walk: Plan) -> dict[str, Any]:
     """How feasible a plan is, in numbers."""
 
-    def worst(reduce: Callable, values: Any) -> float:
+    def worst(reduce: Callable[[np.ndarray], float], values: Array) -> float:
         return float(reduce(np.asarray(values)))
 
     report = walk.feasibility

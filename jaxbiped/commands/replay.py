@@ -117,7 +117,7 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[An
     return {name: (then[name], now[name]) for name in names if not _close(name, then[name], now[name])}
 
 
-def _close(name: str, then: Any, now: Any) -> bool:
+def _close(name: str, then: object, now: object) -> bool:
     if not isinstance(then, float) or not isinstance(now, float):
         return then == now
     allowed = TOLERANCE[f"_{name.rpartition('_')[2]}"]

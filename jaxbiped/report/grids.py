@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -260,7 +261,7 @@ def _variant_handle(variant: str, i: int, n: int) -> Line2D:
     return Line2D([], [], label=variant, **_variant_style(i, n))
 
 
-def _legend_below(figure: Figure, handles: Sequence[Any]) -> None:
+def _legend_below(figure: Figure, handles: Sequence[Artist]) -> None:
     width = sum(len(str(handle.get_label())) + 8 for handle in handles)
     figure.legend(
         handles=list(handles),
@@ -307,8 +308,8 @@ class _Sides(NamedTuple):
 
     x: str
     y: str
-    across: Sequence[Any]
-    up: Sequence[Any]
+    across: Sequence[float | int]
+    up: Sequence[float | int]
 
 
 def _map_panels(n: int, sides: _Sides, title: str) -> tuple[Figure, Sequence[Axes], float]:
@@ -369,7 +370,7 @@ def _dress_map(axes: Axes, variant: str, sides: _Sides, width: float) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _tick_texts(values: Sequence[Any], column: str) -> list[str]:
+def _tick_texts(values: Sequence[float | int], column: str) -> list[str]:
     return [short(value, column) for value in values]
 
 

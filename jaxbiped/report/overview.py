@@ -5,7 +5,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -195,7 +194,7 @@ def _walks(n: int) -> str:
 
 def _loads(experiment: Experiment, table: pl.DataFrame, start: float) -> Section:
     agreed = agreements(experiment, table)
-    marks: Mapping[str, Any] | None = None
+    marks: Mapping[str, pl.DataFrame] | None = None
     words, texts = ["Load by time of loading."], []
     for walks in table.partition_by("variant", maintain_order=True):
         variant = walks["variant"][0]

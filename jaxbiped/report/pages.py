@@ -1,7 +1,6 @@
 """What is drawn of the results of an experiment, by the names of its pages."""
 
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -16,7 +15,7 @@ FILES = {
 """Files of every page."""
 
 
-def payload(table: pl.DataFrame, name: str, start: float) -> dict[str, Any]:
+def payload(table: pl.DataFrame, name: str, start: float) -> dict[str, figures.Figure]:
     """Success and pitch of every load at every time, on the gait's own clock.
 
     Args:
@@ -32,7 +31,7 @@ def payload(table: pl.DataFrame, name: str, start: float) -> dict[str, Any]:
     }
 
 
-def obstacles(table: pl.DataFrame, name: str, step: int) -> dict[str, Any]:
+def obstacles(table: pl.DataFrame, name: str, step: int) -> dict[str, figures.Figure]:
     """What every variant does at every height under a step."""
     what = f"{name} over an unknown pad under step {step}"
     return {"obstacles": grids.cells_figure(table, height_column(step), what)}
@@ -69,5 +68,5 @@ def _obstacles(experiment: Experiment, table: pl.DataFrame, folder: Path) -> lis
 _WRITE = {"overview": _overview, "payload": _payload, "obstacles": _obstacles}
 
 
-def _save(drawn: dict[str, Any], folder: Path) -> list[str]:
+def _save(drawn: dict[str, figures.Figure], folder: Path) -> list[str]:
     return [str(figures.save(figure, folder / f"{name}.png")) for name, figure in drawn.items()]

@@ -2,7 +2,7 @@
 
 import math
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxbiped.batch import NEVER
 
@@ -64,7 +64,7 @@ def unit_of(column: str) -> str:
     return next((unit for unit in _UNITS if column.endswith(f"_{unit}")), "")
 
 
-def text(value: Any, column: str = "") -> str:
+def text(value: object, column: str = "") -> str:
     """A value of a table, in the unit of its column and to a resolution that suits it.
 
     Ratios have three decimals. What is missing or not a number is a dash; infinity is a word.
@@ -84,7 +84,7 @@ def text(value: Any, column: str = "") -> str:
     return rounded(value, _decimals(column))
 
 
-def short(value: Any, column: str) -> str:
+def short(value: float | int | None, column: str) -> str:
     """A value as figures show it, in the unit of `shown` and without zeros at its end."""
     factor = shown(column).factor
     if value is None or (unit_of(column) == "s" and NEVER <= value < math.inf):
@@ -112,7 +112,7 @@ def rounded(value: float, decimals: int, strip: bool = False) -> str:
     return said if said.strip("-0.") else said.removeprefix("-")
 
 
-def with_unit(value: Any, column: str) -> str:
+def with_unit(value: float | int | None, column: str) -> str:
     """A value as figures show it, with its unit where it has one."""
     said, unit = short(value, column), shown(column).label.rpartition(" [")[2].removesuffix("]")
     number = any(letter.isdigit() for letter in said)

@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -72,7 +71,15 @@ def step_rows(step: np.ndarray, kind: np.ndarray) -> list[tuple[int, int]]:
     return list(itertools.pairwise(edges))
 
 
-def _touch(row: int, end_row: int, step: Any, kind: Any, swing: Any, time: Any, late: Any) -> Touch:
+def _touch(
+    row: int,
+    end_row: int,
+    step: np.ndarray,
+    kind: np.ndarray,
+    swing: np.ndarray,
+    time: np.ndarray,
+    late: np.ndarray,
+) -> Touch:
     return Touch(
         step=int(step[row]),
         foot=SIDE_NAMES[int(swing[row])],

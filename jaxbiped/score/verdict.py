@@ -10,8 +10,6 @@ A step is a single support and the double support after it. Rules are met in the
 while a reflex lasts: a robot that falls later than that has succeeded all the same, and its status says that it fell.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -109,7 +107,7 @@ def _progress(controller: ControllerState | None, end_time: Scalar) -> tuple[Sca
 
 
 def _first_whole_step(
-    controller: ControllerState | None, gait: Gait, change_time: Scalar, delay: Any
+    controller: ControllerState | None, gait: Gait, change_time: Scalar, delay: Scalar
 ) -> Int[Array, ""]:
     """Number of the first step that begins after the recovery and after the step in which the weight changed."""
     timing = gait.timing

@@ -18,6 +18,7 @@ import numpy as np
 from jaxbiped import batch, files
 from jaxbiped.batch import records, store
 from jaxbiped.checked import Quantity, whole
+from jaxbiped.score import Loss
 from jaxbiped.tune import gradient, trust
 from jaxbiped.tune.gradient import Problem
 
@@ -243,7 +244,7 @@ def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
     return records.digest(what)
 
 
-def _name(loss: Any) -> str:
+def _name(loss: Loss) -> str:
     """Of a loss: its class, and its fields if it shows them."""
     shown = "" if type(loss).__repr__ is object.__repr__ else repr(loss)
     return f"{type(loss).__module__}.{type(loss).__qualname__} {shown}"

@@ -7,11 +7,11 @@ scenarios and seeds, and antithetic Gaussian smoothing, which also sees what hap
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -23,6 +23,10 @@ from jaxbiped import batch, runtime, sim
 from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
 from jaxbiped.score import Loss, WalkLoss, judge
+
+Numbers = np.ndarray | Array | Sequence[float | int]
+"""Values as a caller may give them."""
+R = TypeVar("R")
 
 LANES = 64
 """Most walks in one call; as many calls are made at once as XLA has threads."""
@@ -81,9 +85,9 @@ class Problem:
 
     experiment: batch.Experiment
     tunables: tuple[Tunable, ...]
-    loss: Any
+    loss: Loss
     variant: str
-    compiled: set[Any] = field(default_factory=set, repr=False, compare=False)
+    compiled: set[object] = field(default_factory=set, repr=False, compare=False)
     """Functions that have been called, and for how many walks."""
 
     @classmethod
@@ -140,11 +144,13 @@ class _Setting(eqx.Module):
 
     simulation: sim.Simulation
     """With the variant's own values."""
-    loss: Any
+    loss: Loss
     tunables: tuple[Tunable, ...] = eqx.field(static=True)
     duration: float = eqx.field(static=True)
 
-    def walk(self, at: Float[Array, " k"], scenario: sim.Scenario) -> tuple[Any, dict[str, Array]]:
+    def walk(
+        self, at: Float[Array, " k"], scenario: sim.Scenario
+    ) -> tuple[tuple[Array, Array, Array], dict[str, Array]]:
         """Walk once: (loss, poses, start of the last reflex), to be differentiated, and what became of the walk."""
         robot = self.simulation.robot
         controller = tunables.apply(robot, self.simulation.controller, self.tunables, at)
@@ -204,10 +210,10 @@ def walk_values(
 def value_and_grad(
     experiment: batch.Experiment,
     names: Sequence[str],
-    at: Any = None,
+    at: Numbers | None = None,
     loss: Loss | None = None,
     variant: str | None = None,
-    rows: Any = None,
+    rows: Numbers | None = None,
 ) -> Gradient:
     """Losses and derivatives by forward mode.
 
@@ -234,7 +240,7 @@ def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     return dataclasses.replace(made, growth_time=became["time"][0], growth=growth, trigger_slope=trigger)
 
 
-def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = None) -> Gradient:
+def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Numbers | None = None) -> Gradient:
     """Central differences over the same scenarios; half of their `widths` (k,) to each side, see `default_widths`."""
     began, n, k = time.perf_counter(), len(rows), len(problem.tunables)
     width = 0.5 * (default_widths(problem) if widths is None else np.asarray(widths, float))
@@ -314,14 +320,18 @@ def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndar
     return losses, jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *first)
 
 
-def _side_by_side(problem: Problem, function: Any, calls: list[tuple[Array, sim.Scenario]]) -> list[Any]:
+def _side_by_side(
+    problem: Problem,
+    function: Callable[[_Setting, Array, sim.Scenario], R],
+    calls: list[tuple[Array, sim.Scenario]],
+) -> list[R]:
     """Results of a compiled function for many arguments of the same shapes, one thread for each of XLA's.
 
     The first call of all goes ahead: it compiles, which every thread would do for itself.
     """
     double = jnp.result_type(float) == jnp.float64  # a setting of this thread only
 
-    def one(call: tuple[Array, sim.Scenario]) -> Any:
+    def one(call: tuple[Array, sim.Scenario]) -> R:
         with jax.enable_x64(double):
             return jax.block_until_ready(function(problem.setting, *call))
 
@@ -352,7 +362,7 @@ def _pieces(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([rows, np.full(-len(rows) % room, rows[-1])]).reshape(-1, room)
 
 
-def _point(problem: Problem, at: Any) -> np.ndarray:
+def _point(problem: Problem, at: Numbers | None) -> np.ndarray:
     if at is None:
         return problem.start
     at = np.asarray(at, float)
@@ -361,7 +371,7 @@ def _point(problem: Problem, at: Any) -> np.ndarray:
     return at
 
 
-def _rows(problem: Problem, rows: Any) -> np.ndarray:
+def _rows(problem: Problem, rows: Numbers | None) -> np.ndarray:
     n = problem.experiment.table.height
     rows = np.arange(n) if rows is None else np.asarray(rows, int)
     if rows.ndim != 1 or not len(rows) or rows.min() < 0 or rows.max() >= n:

@@ -205,7 +205,7 @@ def report(
     problem: Problem,
     at: np.ndarray,
     rows: np.ndarray,
-    widths: Any = None,
+    widths: gradient.Numbers | None = None,
     sigma: float = 0.02,
     pairs: int = 4,
     seed: int = 0,
@@ -240,7 +240,7 @@ def _cost_per_tangent(problem: Problem, at: np.ndarray, rows: np.ndarray) -> flo
     return (_seconds(lambda: gradient.forward(problem, at, rows)) - walks) / (len(at) * walks)
 
 
-def _seconds(function: Callable[[], Any]) -> float:
+def _seconds(function: Callable[[], object]) -> float:
     began = time.perf_counter()
     function()
     return time.perf_counter() - began
