@@ -40,7 +40,7 @@ _OTHER_UNITS = {
     "kg m2": (("kg cm2", 1e-4), ("kg mm2", 1e-6), ("g mm2", 1e-9)),
     "": (("%", 1e-2),),
 }
-"""In which other unit a number may have been meant, and what one of it is."""
+"""Other units in which a number may have been meant, and the size of one of each."""
 _TOKENS = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?'  # what is in strings and comments is not nesting
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5})?"
@@ -161,7 +161,7 @@ class Quantity:
 
     @property
     def size(self) -> str:
-        """How many numbers, in words, with the unit in brackets."""
+        """The number of numbers in words, with the unit in brackets."""
         names = [f"{' x '.join(map(str, shape))} numbers" if shape else "one number" for shape in self.shapes]
         return " or ".join(names) + (f" [{self.unit}]" if self.unit else "")
 
@@ -202,7 +202,7 @@ class Quantity:
         return np.asarray(inside | (value == np.inf) if self.endless else inside)
 
     def _numbers(self, name: str, given: object, error: type[Refusal]) -> np.ndarray | None:
-        """The numbers; None if they form no table."""
+        """The given numbers as an array; None if they form no table."""
         if isinstance(given, list | tuple):
             parts = [self._numbers(name, item, error) for item in given]
             arrays = [part for part in parts if part is not None]
@@ -223,7 +223,7 @@ class Quantity:
         return f"{text} {self.unit}".rstrip()
 
     def _hint(self, number: float) -> str:
-        """In which other unit the number would have been in range."""
+        """Words on the other units in which the number would have been in range; empty for none."""
         if number == 0.0 or not math.isfinite(number):
             return ""
         others = [(unit, number * factor) for unit, factor in _OTHER_UNITS.get(self.unit, ())]

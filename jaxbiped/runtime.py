@@ -1,4 +1,4 @@
-"""How JAX runs: threads, devices and the compilation cache, set before it starts; and how every function is compiled.
+"""Settings of JAX before it starts: threads, devices, compilation cache; and the compiler of all functions.
 
 Nothing in the package starts a JAX back end when it is imported: what is set here, or in the environment, still counts.
 """
@@ -72,7 +72,7 @@ def options() -> dict[str, str]:
 
 
 def _is_tracing() -> bool:
-    """Whether this is inside a function that JAX is tracing: there even a constant is a tracer."""
+    """Whether the caller runs inside a function that JAX is tracing, where even a constant is a tracer."""
     return isinstance(jnp.zeros(()), Tracer)
 
 
@@ -83,7 +83,7 @@ def use_threads(count: int = 1) -> None:
 
 
 def threads() -> int:
-    """How many compiled functions can run at once in this process: one on each of XLA's threads, one on a GPU."""
+    """Number of compiled functions that can run at once here: one on each of XLA's threads, one on a GPU."""
     if jax.default_backend() != "cpu":
         return 1
     given = os.environ.get("NPROC", "")
@@ -111,5 +111,5 @@ def gpus() -> list[str]:
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

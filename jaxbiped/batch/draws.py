@@ -25,7 +25,7 @@ Column = Float[np.ndarray, " n"]
 
 @runtime_checkable
 class Distribution(Protocol):
-    """What a column is drawn from: `Uniform`, `Normal`, `Choice`, or any frozen distribution of `scipy.stats`."""
+    """Distribution of a column: `Uniform`, `Normal`, `Choice`, or any frozen one of `scipy.stats`."""
 
     def ppf(self, q: Column, /) -> ArrayLike:
         """Quantiles at probabilities from 0 to 1."""

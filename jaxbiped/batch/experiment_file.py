@@ -52,12 +52,12 @@ TABLES = ("robot", "gait", "variants", "scenarios", "simulation", "score", "repo
 INCOMPLETE = "incomplete"
 """Key of a file that does not say all of its experiment, see `experiment_writer`."""
 KINDS = ("grid", "rows", "draw", "table")
-"""In which ways scenarios can be given."""
+"""Ways in which scenarios can be given."""
 CLOCKS = Word(
     ("walk", "gait"), "since when times are counted: the start of the walk, or of the gait's own clock"
 )
 TIMES = ("load_time_s", "load_end_s", "push_time_s")
-"""Columns that are counted on that clock."""
+"""Columns of times, which are counted on the clock that the file names."""
 OPTIONS: dict[str, Field] = {
     "dt": Quantity("s", 1e-5, 0.01),
     "feed_forward": Flag("add the plan's inverse dynamics to the servos' torque"),
@@ -130,7 +130,7 @@ def _robot_path(name: str, folder: Path) -> str:
 
 
 def _gait(table: Table, robot: RobotParams, folder: Path) -> Callable[[], Gait]:
-    """What plans the gait."""
+    """A function that plans the gait."""
     checked.refuse_unknown(
         "gait.", table, ("kind", "steps", "first_swing", "file", "parameters", "allow_infeasible")
     )
@@ -198,7 +198,7 @@ def _controller(name: str, tables: variants.Tables, robot: RobotParams, gait: Ga
 
 
 def _scenarios(table: Table, folder: Path) -> tuple[str, Make]:
-    """The clock that times are counted on, and what makes the table."""
+    """The clock that times are counted on, and a function that makes the table."""
     checked.refuse_unknown("scenarios.", table, ("clock", *KINDS))
     given = [kind for kind in KINDS if kind in table]
     if len(given) != 1:
@@ -278,7 +278,7 @@ def _from_to(where: str, table: Table, quantity: Quantity) -> list[float]:
 
 
 def _drawn(where: str, name: str, given: object) -> Distribution | float:
-    """What a column is drawn from: a distribution, or one number."""
+    """Distribution of a column, or its one number."""
     allowed = _quantity(where, name)
     if not isinstance(given, dict):
         return allowed.check(where, given)
@@ -300,7 +300,7 @@ def _drawn(where: str, name: str, given: object) -> Distribution | float:
 
 
 def _quantity(where: str, name: str) -> Quantity:
-    """What the numbers of a column may be."""
+    """Range of the numbers of a column."""
     known = inputs.declared([name])
     if name not in known:
         raise Refusal(f"{where}: unknown, allowed: {inputs.COLUMNS}{inputs.nearest_column(name)}")

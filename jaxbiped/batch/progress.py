@@ -1,4 +1,4 @@
-"""How far a run is, said now and then, so that nothing long is silent: not even while XLA compiles."""
+"""Progress of a run, told now and then, so that nothing long is silent, not even while XLA compiles."""
 
 import sys
 import threading
@@ -14,14 +14,14 @@ Stream = TextIO | TextIOBase
 BAR = 24
 """Characters of the bar of progress."""
 FIRST_S, EVERY_S = 5.0, 30.0
-"""When a line is first written where there is no terminal, and how often from then on [s]."""
+"""Time to the first line where there is no terminal, and between two lines from then on [s]."""
 REDRAWN_S = 1.0
-"""How often the line of a terminal is written anew [s]."""
+"""Time between two writings of the line of a terminal [s]."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run has got."""
+    """Progress of a run."""
 
     done: int
     """Walks finished, those found in the folder among them."""
@@ -29,13 +29,13 @@ class Progress:
     failed: int
     """Walks that were no success, or fell after it, of those finished."""
     seconds: float
-    """Since the run began [s]."""
+    """Time since the run began [s]."""
     rate: float | None
     """Walks a second in this run; None until a chunk is finished."""
     seconds_left: float | None
-    """Estimate [s]; None until a chunk is finished."""
+    """Estimate of the time that is left [s]; None until a chunk is finished."""
     under_way: float = 0.0
-    """What is done of the chunks that are being walked, in whole walks."""
+    """Work done on the chunks that are being walked, in whole walks."""
 
 
 def show(stream: Stream | None = None) -> "Shown":
@@ -44,7 +44,7 @@ def show(stream: Stream | None = None) -> "Shown":
 
 
 class Shown:
-    """To be called with a `Progress` after every chunk and within it; `close` ends it."""
+    """A display to be called with a `Progress` after every chunk and within it; `close` ends it."""
 
     def __init__(self, stream: Stream):
         self._last: Progress | None = None

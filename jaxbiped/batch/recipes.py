@@ -23,9 +23,9 @@ LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
 TIMES = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4)
 """Loading times on the gait's own clock [s]."""
 HEIGHTS = tuple(0.01 * cm for cm in range(-5, 6))
-"""Of pads and holes [m]."""
+"""Heights of pads and holes [m]."""
 LATEST = 60.0
-"""Of loading times [s]."""
+"""Latest loading time [s]."""
 STEPS_AFTER = 4
 """Steps planned after the one of the last loading: the rest of it, the one after the recovery, and two whole ones."""
 

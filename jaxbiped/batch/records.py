@@ -38,7 +38,7 @@ RECORDS: dict[str, type[eqx.Module]] = {
     "model_errors": scenario.ModelErrors,
     "sensor_faults": scenario.SensorFaults,
 }
-"""What records are called in files, but for those of gaits and stages. A name that was ever written stays for good."""
+"""Records by their names in files, but for those of gaits and stages; a name once written stays for good."""
 
 
 def known() -> dict[str, type[eqx.Module]]:
@@ -86,7 +86,7 @@ _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def to_json(value: object) -> Any:
-    """What `json.dumps` takes; `from_json` gives the value back, bit for bit.
+    """Write a value as `json.dumps` takes it; `from_json` gives it back, bit for bit.
 
     Raises:
         TypeError: for a value that is no array, plain value or record of RECORDS.
@@ -188,7 +188,7 @@ def _record(data: dict[str, Any]) -> Any:
 
 
 def _name(made: type) -> str | None:
-    """What a record is called."""
+    """Name of a record in files; None if it has none."""
     return next((name for name, record in known().items() if record is made), None)
 
 

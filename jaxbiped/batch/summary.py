@@ -1,4 +1,4 @@
-"""What a table of walks says: success rates, one variant against another, limits, and which input decides.
+"""Summaries of a table of walks: success rates, one variant against another, limits, and which input decides.
 
 A table has one row per walk: `variant` and `scenario` (every variant meets the same scenarios), inputs, outcome.
 """
@@ -58,7 +58,7 @@ class PairedMeans:
     n: int
     """Scenarios in which both succeed."""
     mean: float
-    """Of `variant`."""
+    """Mean of `variant`."""
     mean_against: float
     difference: float
     """Mean of `variant` less that of `against`."""
@@ -313,7 +313,7 @@ def _by_scenario(table: pl.DataFrame, variant: str, *more: str) -> pl.DataFrame:
 
 
 def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
-    """Newcombe's phi: of the two successes, drawn towards 0 where it is positive."""
+    """Newcombe's phi, the correlation of the two successes, drawn towards 0 where it is positive."""
     n = both + only_first + only_second + neither
     product = both * neither - only_first * only_second
     if product > 0:
@@ -357,7 +357,7 @@ def _limit(
 
 
 def _cause(walks: pl.DataFrame, name: str) -> dict[str, Any]:
-    """What one input says about success in one variant."""
+    """Information of one input about success in one variant."""
     values = walks[name].cast(pl.Float64).fill_null(math.nan).to_numpy()
     success = walks["success"].to_numpy().astype(int)
     codes = _bins(values)
@@ -387,7 +387,7 @@ def _bins(values: np.ndarray) -> np.ndarray:
 
 
 def _entropy(codes: np.ndarray) -> tuple[float, int]:
-    """Of what was counted [bit], and how many different values there are."""
+    """Entropy of the counted values [bit], and the number of different ones."""
     counts = np.unique(codes, return_counts=True)[1]
     share = counts / counts.sum()
     return float(-(share * np.log2(share)).sum()), len(counts)

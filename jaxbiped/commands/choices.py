@@ -1,4 +1,4 @@
-"""What names on the command line stand for: gaits, simulations, variants of adaptation."""
+"""Meaning of names on the command line: gaits, simulations, variants of adaptation."""
 
 from pathlib import Path
 

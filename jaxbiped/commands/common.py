@@ -1,4 +1,4 @@
-"""What the commands share: refusals, robots, output folders, figures, targets over time."""
+"""Shared parts of the commands: refusals, robots, output folders, figures, targets over time."""
 
 import contextlib
 import importlib.util
@@ -129,7 +129,7 @@ def write(file: Path, content: bytes | str) -> Path:
 
 
 def plain(value: object) -> Any:
-    """For JSON, which has no NaN and nothing infinite: null in their place."""
+    """A value for JSON, with None in place of NaN and of what is infinite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -169,7 +169,7 @@ def outcome(walk: sim.Walk) -> dict[str, Any]:
 
 
 def outcome_in_words(o: dict[str, Any]) -> str:
-    """The same as a line to read."""
+    """The numbers of `outcome` as a line to read."""
     return (
         f"{o['status']} at {o['end_time_s']:.2f} s, trunk roll up to {o['peak_roll_deg']:.1f} and pitch"
         f" {o['peak_pitch_deg']:.1f} deg, foot force up to {o['peak_foot_force_N']:.0f} N,"

@@ -53,7 +53,7 @@ N_STEPS = 8
 OBSTACLES = {2: 0.03, 4: 0.02, 6: 0.04}
 """Obstacles of the demonstration: step number and height [m]; the step after each is a retard landing."""
 TRACE_DT = 0.01
-"""Between two samples of a drawn trace [s]."""
+"""Time between two samples of a drawn trace [s]."""
 
 
 RECOVERY = {"variant": "modified", "load_kg": 15.0, "time_s": 1.2}
@@ -266,7 +266,7 @@ def _cycle(gait: planner.Gait, samples: int = 1000) -> tuple[np.ndarray, planner
 
 
 def summary_of(walk: Plan) -> dict[str, Any]:
-    """How feasible a plan is, in numbers."""
+    """Feasibility of a plan in numbers."""
 
     def worst(reduce: Callable[[np.ndarray], float], values: Array) -> float:
         return float(reduce(np.asarray(values)))
@@ -287,7 +287,7 @@ def summary_of(walk: Plan) -> dict[str, Any]:
 
 
 def in_words(s: dict[str, Any]) -> str:
-    """The same to read."""
+    """The numbers of `summary_of` as text to read."""
     return (
         f"{s['robot']}, {s['gait']}: {s['steps']} steps in {s['duration_s']:.1f} s\n"
         f"  smallest ZMP margin {1e3 * s['zmp_margin_min_m']:.1f} mm,"

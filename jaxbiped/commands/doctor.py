@@ -18,7 +18,7 @@ from jaxbiped import kinematics, planner, robot, runtime
 
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars", "tyro")
 PLAIN_JIT = jax.jit
-"""What a user's own functions are compiled with."""
+"""Compiler of a user's own functions."""
 EXTRAS = {"matplotlib": "viz", "jinja2": "viz", "distributed": "cluster"}
 """Packages of the extras, and which extra brings them."""
 

@@ -47,19 +47,19 @@ from jaxbiped.tune.descent import STATE
 WHAT_HELP = "What to tune: a stage (payload, landing), or names such as payload.settling_time, landing.T_mod, gait.b_s."
 BASES = {"payload": adapt.PayloadReflex.variants, "landing": adapt.Landing.variants}
 LIGHTEST, HEAVIEST = 0.02, 0.2
-"""Of loads, as shares of the robot's mass."""
+"""Smallest and largest load, as shares of the robot's mass."""
 HIGHEST = 0.04
-"""Of pads [m]."""
+"""Largest height of a pad [m]."""
 STEPS = {"payload": 4, "landing": 6}
 HORIZON = 10.0
-"""Of the walks whose gradient is taken [s]."""
+"""Simulated time of the walks whose gradient is taken [s]."""
 VARIANT_FILE = "tuned.toml"
 FILES = (VARIANT_FILE, "loss.png", "values.png")
 MAX_COUNT = 100_000
 HELD_OUT_SEED = 1000
-"""How far the seed of the held-out scenarios is from that of the others."""
+"""Distance of the seed of the held-out scenarios from that of the others."""
 Tables = Mapping[str, Mapping[str, Any]]
-"""Of the file of a variant."""
+"""Tables of the file of a variant."""
 PAD_STEP = 2
 """Step under which the pads are."""
 

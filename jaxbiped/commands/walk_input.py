@@ -27,9 +27,9 @@ from jaxbiped.sim.scenario import RANGES, Terrain, pad_under, require_swing_clea
 VARIANTS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
 REFLEX_VARIANTS = (ORIGINAL, MODIFIED)
 DEEPEST = RANGES["height_m"].low
-"""Of a hole [m]."""
+"""Smallest height of a pad, that of the deepest hole [m]."""
 TRACE_DT = 2e-3
-"""Between two samples of the trace [s]."""
+"""Time between two samples of the trace [s]."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Obstacle:
 
     step: int
     height: float
-    """[m]"""
+    """Height over the ground, negative for a hole [m]."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Load:
     """A payload."""
 
     mass: float
-    """[kg]"""
+    """Mass [kg]."""
     time: float
-    """[s]"""
+    """When it is put on [s]."""
     end: float | None = None
     """When it is taken off [s]; None for one that stays."""
 
@@ -76,7 +76,7 @@ class Setup:
     scenario: sim.Scenario
     options: sim.Options
     duration: float
-    """To be simulated [s]."""
+    """Time to be simulated [s]."""
 
     @property
     def gait_name(self) -> str:
@@ -144,7 +144,7 @@ def _number(argument: str, got: str, form: str, text: str, kind: Callable[[str],
 
 
 def _obstacles(words: Iterable[str], gait: Gait) -> list[Obstacle]:
-    """STEP:HEIGHT, each step once, at most as high as the swing foot goes."""
+    """Read obstacles, STEP:HEIGHT, each step once, at most as high as the swing foot goes."""
     form = "STEP:HEIGHT, a whole number and meters, such as 3:0.03 or 4:-0.02"
     last = gait.timing.n_steps - 1
     found: dict[int, Obstacle] = {}
@@ -172,7 +172,7 @@ def _obstacles(words: Iterable[str], gait: Gait) -> list[Obstacle]:
 
 
 def _load(words: Iterable[str], gait: Gait, params: robot.RobotParams) -> Load | None:
-    """MASS@TIME, at most one."""
+    """Read the load, MASS@TIME, at most one."""
     form = "MASS@TIME, kilograms and seconds, such as 15@2.4"
     given = list(words)
     if not given:
@@ -207,7 +207,10 @@ def _of_file(
 
 
 def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants:
-    """Without words: what the walk calls for. `repaired` stands for whichever stage no other word is for."""
+    """Choose the variants; without words, those the walk calls for.
+
+    `repaired` stands for whichever stage no other word is for.
+    """
     for word in words:
         if word not in VARIANTS:
             raise InputError(
@@ -243,7 +246,7 @@ def _scenario(params: robot.RobotParams, gait: Gait, pads: list[Obstacle], load:
 
 
 def _refuse_overlaps(pads: list[Obstacle], terrain: Terrain) -> None:
-    """Heights of overlapping pads would add up to something nobody asked for."""
+    """Refuse overlapping pads, whose heights would add up to something nobody asked for."""
     lower, upper = np.asarray(terrain.lower), np.asarray(terrain.upper)
     for i, a in enumerate(pads):
         for j, b in enumerate(pads[:i]):

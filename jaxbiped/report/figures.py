@@ -28,7 +28,7 @@ DPI = 120
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 """Colors of Okabe and Ito (2008), which the color-blind can tell apart."""
 EVENT_COLORS = (PURPLE, GREEN, "#333333")
-"""Of marked times, kind by kind."""
+"""Colors of marked times, kind by kind."""
 SIDE_COLORS = (BLUE, ORANGE)
 SIDE_DASHES = ("-", (0, (5, 1.6)))
 INK, FAINT = "#333333", "#8a8a8a"
@@ -39,7 +39,7 @@ LEGEND_WIDTH = 122
 """Widest row of a legend, in letters; a handle counts as eight."""
 SHADE_LABEL = "single support (white: double)"
 _HALF_A_SAMPLE = 5e-3
-"""Around a time that has no neighbor [s]."""
+"""Half the width of a sample around a time that has no neighbor [s]."""
 _AXIS_WORDS = ("forward, x", "lateral (left), y", "up, z")
 
 

@@ -28,11 +28,11 @@ COLORS = ("tab:blue", "tab:red")
 PALETTE = 64
 """Colors of a frame."""
 LEAST_DEPTH = 0.15
-"""How far the view reaches below the deepest ground [m]."""
+"""Depth of the view below the deepest ground [m]."""
 SLIVER = 1e-3
 """Width up to which a strip of a band does not count [m]."""
 FAR = 1e3
-"""Beyond every view [m]."""
+"""A distance beyond every view [m]."""
 GROUND, GROUND_LINE = "0.7", "0.4"
 """Colors of the ground that all bands have in common, and of its surface."""
 GROUND_IN_PART = "0.85"
@@ -47,14 +47,14 @@ class Rectangles(NamedTuple):
     upper: np.ndarray
     """Largest x and y (n, 2) [m]."""
     height: np.ndarray
-    """Over the ground (n,) [m]."""
+    """Height over the ground (n,) [m]."""
 
 
 class Profile(NamedTuple):
     """The ground along an axis, in a band of the other one: between two edges it is level."""
 
     edges: np.ndarray
-    """Where it may change (k + 1,) [m]."""
+    """Places where the ground may change (k + 1,) [m]."""
     top: np.ndarray
     """Largest height in the band (k,) [m]."""
     bottom: np.ndarray

@@ -1,4 +1,4 @@
-"""What is drawn of the results of an experiment, by the names of its pages."""
+"""Figures and pages of the results of an experiment, by the names of the pages."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ def payload(table: pl.DataFrame, name: str, start: float) -> dict[str, figures.F
 
 
 def obstacles(table: pl.DataFrame, name: str, step: int) -> dict[str, figures.Figure]:
-    """What every variant does at every height under a step."""
+    """Success and foot force of every variant at every height under a step."""
     what = f"{name} over an unknown pad under step {step}"
     return {"obstacles": grids.cells_figure(table, height_column(step), what)}
 
@@ -60,7 +60,7 @@ def _payload(experiment: Experiment, table: pl.DataFrame, folder: Path) -> list[
 
 
 def _obstacles(experiment: Experiment, table: pl.DataFrame, folder: Path) -> list[str]:
-    """By the height under the first step that has a column; nothing if none has."""
+    """Draw obstacles by the height under the first step that has a column; nothing if none has."""
     steps = steps_of(table.columns)
     return _save(obstacles(table, experiment.robot.name, steps[0]), folder) if steps else []
 

@@ -1,4 +1,4 @@
-"""How the columns of a table of walks are shown to a person: their words and units, and values that are rounded."""
+"""Columns of a table of walks as a person sees them: their words and units, and values that are rounded."""
 
 import math
 import re
@@ -30,24 +30,24 @@ _UNITS = {
     **{"m_per_s": "m/s", "s_per_m": "s/m", "deg": "deg", "rad": "deg", "kg": "kg", "Ns": "N s", "N": "N"},
     **{"s": "s", "m": "mm", "bits": "bit", "scale": "-"},
 }
-"""What is shown in figures for the unit at the end of a column's name."""
+"""Units shown in figures, by the unit at the end of a column's name."""
 _DECIMALS = {
     **{"m_per_s": 4, "s_per_m": 2, "deg": 2, "rad": 4, "kg": 3, "Ns": 1, "N": 0, "s": 3, "m": 4},
     **{"bits": 3, "scale": 3},
 }
 """Decimals of a value in the unit at the end of its column's name: 0.1 mm, 0.01 degrees, 1 ms, 1 g, 1 N."""
 _DECIMALS_OF_COLUMNS = {"sinkage_m": 5, "force_noise_N": 1}
-"""Of inputs that are small by nature."""
+"""Decimals of inputs that are small by nature."""
 _DECIMALS_OF_RATIOS = 3
 
 
 class Shown(NamedTuple):
-    """How the values of a column are shown to a person."""
+    """Label and unit of a column as a person sees them."""
 
     label: str
     """Words and unit."""
     factor: float
-    """From the column's unit to the one shown."""
+    """Factor from the column's unit to the one shown."""
 
 
 def shown(column: str) -> Shown:

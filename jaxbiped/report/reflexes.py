@@ -26,7 +26,7 @@ from jaxbiped.score import Recovery
 from jaxbiped.sim import Sample
 
 CLOSE = 0.25
-"""What is shown before a load and after its trigger, from close by [s]."""
+"""Time shown before a load and after its trigger, from close by [s]."""
 LOAD, TRIGGER, STAGES = "load", "trigger", "settled, shifted, recovered, walks on"
 """Events of a walk with a payload, in the order of their styles."""
 

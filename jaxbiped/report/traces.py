@@ -1,4 +1,4 @@
-"""What a figure needs of a trace and the trace does not say outright: plan, commanded ZMP, filtered readings."""
+"""Numbers for figures that a trace does not hold outright: plan, commanded ZMP, filtered readings."""
 
 import equinox as eqx
 import jax
@@ -23,7 +23,7 @@ def thin(trace: Sample, every: int) -> Sample:
 
 
 def measured_task(trace: Sample) -> TaskSpace:
-    """Where soles and pelvis were, with a leading axis."""
+    """Measured places of soles and pelvis, with a leading axis."""
     return _task_spaces(trace.p_world_sole, trace.p_world_trunk)
 
 
@@ -32,7 +32,7 @@ def _task_spaces(sole: np.ndarray | Array, pelvis: np.ndarray | Array) -> TaskSp
 
 
 class Commanded(eqx.Module):
-    """What the commands of a trace ask of the ground; with a leading axis."""
+    """Demands on the ground by the commands of a trace; with a leading axis."""
 
     zmp: Float[Array, "*n 2"]
     """Zero moment point of the commanded motion, world x and y [m]."""
@@ -82,18 +82,18 @@ def nominal(plan: TaskSpace, trace: Sample, world_shift: float = 0.0, x_shift: f
 
 
 class Felt(eqx.Module):
-    """What the payload stage makes of the sensors, reckoned anew from the samples of a trace."""
+    """Filtered readings of the payload stage, computed anew from the samples of a trace."""
 
     force: np.ndarray
     """Summed vertical foot force [N]."""
     low_passed: np.ndarray
-    """The same, low-passed (elkahlout Eq. 3.7) [N]."""
+    """Summed vertical foot force, low-passed (elkahlout Eq. 3.7) [N]."""
     weight: np.ndarray
     """The low-passed force that is taken for normal [N]."""
     zmp: np.ndarray
     """ZMP forward of the pelvis [m]."""
     zmp_low_passed: np.ndarray
-    """The same, low-passed (elkahlout Eq. 3.18) [m]."""
+    """ZMP forward of the pelvis, low-passed (elkahlout Eq. 3.18) [m]."""
 
 
 def felt(trace: Sample, params: PayloadReflex) -> Felt:
@@ -116,7 +116,7 @@ def felt(trace: Sample, params: PayloadReflex) -> Felt:
 
 
 def _low_pass(time: np.ndarray, values: np.ndarray, time_constant: float) -> np.ndarray:
-    """First order; the first value is taken as it is."""
+    """First-order low-pass; the first value is taken as it is."""
     share = 1.0 - np.exp(-np.diff(time) / time_constant)
     filtered = values.copy()
     for i in range(1, len(values)):

@@ -21,13 +21,13 @@ class Touch:
     foot: str
     """left or right."""
     kind: str
-    """Of the step: planned, reflex or recovery."""
+    """Kind of the step: planned, reflex or recovery."""
     time: float
-    """[s]"""
+    """Time of the touch [s]."""
     row: int
-    """Of the trace."""
+    """Row of the trace with the touch."""
     end_row: int
-    """The last one of this step in the trace."""
+    """Last row of this step in the trace."""
     late: float
     """Time since the planned end of single support, negative before it (advance landing) [s]."""
 

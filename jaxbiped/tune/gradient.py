@@ -31,11 +31,11 @@ R = TypeVar("R")
 LANES = 64
 """Most walks in one call; as many calls are made at once as XLA has threads."""
 SAMPLES = 8
-"""Of the tangents' growth, over the walk."""
+"""Samples of the tangents' growth over a walk."""
 WIDE_TICKS = 5
 """Control ticks over which wide central differences let an event move, at least."""
 WIDE_SHARE, WIDEST_SHARE = 2e-3, 1e-2
-"""Of a range: how wide they are at least, and at most for what moves the start of a reflex."""
+"""Least width of wide differences, and the most for what moves a reflex's start, as shares of a range."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class Gradient:
     at: np.ndarray
     """Values of the tunables (k,)."""
     losses: np.ndarray
-    """Of every scenario (n,)."""
+    """Loss of every scenario (n,)."""
     by_scenario: np.ndarray
     """Derivatives of the losses (n, k), per unit of the tunable."""
     status: np.ndarray
     """Number in `sim.STATUS_TEXT` of every walk (n,)."""
     success: np.ndarray
-    """By the papers' rules (n,)."""
+    """Whether each walk succeeded by the papers' rules (n,)."""
     seconds: float
     """Wall time, compiling included."""
     growth_time: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -70,7 +70,7 @@ class Gradient:
 
     @property
     def gradient(self) -> np.ndarray:
-        """Of the mean loss (k,); derivatives that are not finite are left out."""
+        """Gradient of the mean loss (k,); derivatives that are not finite are left out."""
         return np.nan_to_num(np.nanmean(np.where(self.finite[:, None], self.by_scenario, np.nan), axis=0))
 
     @property
@@ -81,7 +81,7 @@ class Gradient:
 
 @dataclass(frozen=True)
 class Problem:
-    """Whose loss is asked for: a variant of an experiment, its tunables, a loss."""
+    """A variant of an experiment, its tunables, and the loss that is asked for."""
 
     experiment: batch.Experiment
     tunables: tuple[Tunable, ...]
@@ -111,7 +111,7 @@ class Problem:
 
     @property
     def controller(self) -> Controller:
-        """The variant."""
+        """Controller of the variant."""
         return self.experiment.variants[self.variant]
 
     @property
@@ -121,12 +121,12 @@ class Problem:
 
     @property
     def duration(self) -> float:
-        """How long is simulated [s]."""
+        """Simulated time of every walk [s]."""
         return self.experiment.durations[self.variant]
 
     @cached_property
     def setting(self) -> "_Setting":
-        """What the compiled functions need."""
+        """Everything that the compiled functions need."""
         one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
         experiment, options = self.experiment, self.experiment.simulation
         every = max(1, round(self.duration / options.control_dt) // SAMPLES)
@@ -140,10 +140,10 @@ class Problem:
 
 
 class _Setting(eqx.Module):
-    """One walk but for its scenario and the values of the tunables."""
+    """A walk without its scenario and the values of the tunables."""
 
     simulation: sim.Simulation
-    """With the variant's own values."""
+    """Simulation with the variant's own values."""
     loss: Loss
     tunables: tuple[Tunable, ...] = eqx.field(static=True)
     duration: float = eqx.field(static=True)
@@ -174,7 +174,7 @@ def _trigger(walk: sim.Walk) -> Float[Array, ""]:
 
 
 def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
-    """Trunk and soles [m, rad]."""
+    """Poses of trunk and soles [m, rad]."""
     soles = trace.p_world_sole.reshape(-1, 6)
     return jnp.concatenate([trace.p_world_trunk, trace.roll_pitch_yaw, soles], axis=-1)
 
@@ -251,13 +251,13 @@ def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Numbers 
 
 
 def default_widths(problem: Problem) -> np.ndarray:
-    """Of central differences (k,): 2e-5 of each range in float64, 2e-3 in float32, whose noise is that much larger."""
+    """Widths of central differences (k,): 2e-5 of each range in float64, 2e-3 in noisier float32."""
     share = 2e-5 if jnp.result_type(float) == jnp.float64 else 2e-3
     return share * _ranges(problem)
 
 
 def tick_widths(problem: Problem, found: Gradient) -> np.ndarray:
-    """By how much each tunable moves what it moves by one control tick (k,).
+    """Change of each tunable that moves its event by one control tick (k,).
 
     A time moves its event one to one. What moves the start of a reflex does so by its derivative: the median one of the
     walks that `found` has it of. For the others, and at most, a share of the range.
@@ -275,7 +275,7 @@ def tick_widths(problem: Problem, found: Gradient) -> np.ndarray:
 
 
 def wide_widths(problem: Problem, found: Gradient) -> np.ndarray:
-    """Of wide central differences (k,): at least WIDE_TICKS control ticks of what each tunable moves."""
+    """Widths of wide central differences (k,): at least WIDE_TICKS ticks of what each tunable moves."""
     return np.maximum(WIDE_TICKS * tick_widths(problem, found), WIDE_SHARE * _ranges(problem))
 
 
