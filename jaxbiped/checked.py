@@ -10,12 +10,12 @@ import math
 import operator
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex
 
 import jax
 import numpy as np
@@ -40,7 +40,7 @@ _OTHER_UNITS = {
     "kg m2": (("kg cm2", 1e-4), ("kg mm2", 1e-6), ("g mm2", 1e-9)),
     "": (("%", 1e-2),),
 }
-"""In which other unit a number may have been meant, and what one of it is."""
+"""Other units in which a number may have been meant, and the size of one of each."""
 _TOKENS = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?'  # what is in strings and comments is not nesting
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5})?"
@@ -64,7 +64,7 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Show a value in a refusal: what it is, if it is no number, and as much of it as fits."""
     match value:
         case None:
@@ -100,7 +100,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean '{found[0]}'?" if found else ""
 
 
-def register_as(what: str, made: Any, known: dict[str, Any]) -> None:
+def register_as(what: str, made: type[Any], known: dict[str, Any]) -> None:
     """Add a class to those known by their `name`; the same class of a module that was loaded again takes its place.
 
     Raises:
@@ -130,7 +130,7 @@ def refuse_unknown(
             raise error(one_line(text))
 
 
-def is_known(value: Any) -> bool:
+def is_known(value: object) -> bool:
     """Tell whether a value is known: not while JAX traces it."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
 
@@ -161,11 +161,11 @@ class Quantity:
 
     @property
     def size(self) -> str:
-        """How many numbers, in words, with the unit in brackets."""
+        """The number of numbers in words, with the unit in brackets."""
         names = [f"{' x '.join(map(str, shape))} numbers" if shape else "one number" for shape in self.shapes]
         return " or ".join(names) + (f" [{self.unit}]" if self.unit else "")
 
-    def check(self, name: str, given: Any, error: type[Refusal] = Refusal) -> Any:
+    def check(self, name: str, given: object, error: type[Refusal] = Refusal) -> Any:
         """Return what was given as float or float64 array; traced values and an allowed None as they are.
 
         Args:
@@ -191,7 +191,7 @@ class Quantity:
             raise error(f"{name}: got {got}, allowed: {self.allowed}{self._hint(bad)}")
         return value if value.shape else float(value)
 
-    def contains(self, value: Any) -> np.ndarray:
+    def contains(self, value: float | int | np.ndarray | Sequence[float | int]) -> np.ndarray:
         """Tell of every number whether it lies in the range, in float32 too."""
         value = np.asarray(value, np.float64)
         with np.errstate(all="ignore"):
@@ -201,8 +201,8 @@ class Quantity:
         inside &= np.isfinite(single) & ~vanishes
         return np.asarray(inside | (value == np.inf) if self.endless else inside)
 
-    def _numbers(self, name: str, given: Any, error: type[Refusal]) -> np.ndarray | None:
-        """The numbers; None if they form no table."""
+    def _numbers(self, name: str, given: object, error: type[Refusal]) -> np.ndarray | None:
+        """The given numbers as an array; None if they form no table."""
         if isinstance(given, list | tuple):
             parts = [self._numbers(name, item, error) for item in given]
             arrays = [part for part in parts if part is not None]
@@ -223,7 +223,7 @@ class Quantity:
         return f"{text} {self.unit}".rstrip()
 
     def _hint(self, number: float) -> str:
-        """In which other unit the number would have been in range."""
+        """Words on the other units in which the number would have been in range; empty for none."""
         if number == 0.0 or not math.isfinite(number):
             return ""
         others = [(unit, number * factor) for unit, factor in _OTHER_UNITS.get(self.unit, ())]
@@ -248,7 +248,7 @@ class Flag:
     text: str = ""
     allowed = "true or false"
 
-    def check(self, name: str, given: Any, error: type[Refusal] = Refusal) -> bool:
+    def check(self, name: str, given: object, error: type[Refusal] = Refusal) -> bool:
         """Return the truth value that was given, or raise `error`."""
         if not isinstance(given, bool | np.bool_):
             raise error(f"{name}: got {shown(given)}, allowed: {self.allowed}")
@@ -267,7 +267,7 @@ class Word:
         """The words in a row."""
         return ", ".join(self.words)
 
-    def check(self, name: str, given: Any, error: type[Refusal] = Refusal) -> str:
+    def check(self, name: str, given: object, error: type[Refusal] = Refusal) -> str:
         """Return the word that was given, or raise `error` with the nearest one."""
         if not isinstance(given, str):
             raise error(f"{name}: got {shown(given)}, allowed: {self.allowed}")
@@ -281,7 +281,7 @@ class Word:
 Field = Quantity | Flag | Word
 
 
-def whole(name: str, given: Any, low: int, high: int, error: type[Refusal] = Refusal) -> int:
+def whole(name: str, given: object, low: int, high: int, error: type[Refusal] = Refusal) -> int:
     """Return a whole number as int: Python's, NumPy's or JAX's, but no truth value and no float.
 
     Args:
@@ -292,7 +292,8 @@ def whole(name: str, given: Any, low: int, high: int, error: type[Refusal] = Ref
         error: what to raise for anything else.
     """
     try:
-        number = None if isinstance(given, bool | np.bool_) else operator.index(given)
+        usable = isinstance(given, SupportsIndex)
+        number = operator.index(given) if usable and not isinstance(given, bool | np.bool_) else None
     except TypeError:
         number = None
     if number is None or not low <= number <= high:
@@ -303,7 +304,7 @@ def whole(name: str, given: Any, low: int, high: int, error: type[Refusal] = Ref
 
 def read_table(
     name: str,
-    table: Any,
+    table: object,
     fields: Mapping[str, Field],
     required: Iterable[str] = (),
     error: type[Refusal] = Refusal,

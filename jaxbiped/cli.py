@@ -34,7 +34,7 @@ from jaxbiped.commands import (
 from jaxbiped.commands.common import plain
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-COMMANDS: dict[str, tuple[Any, Callable[[Any], dict[str, Any]]]] = {
+COMMANDS: dict[str, tuple[type[Any], Callable[[Any], dict[str, Any]]]] = {
     "demo": (demo.Demo, demo.run),
     "walk": (walk.Walk, walk.run),
     "payload": (payload.Payload, payload.run),
@@ -51,10 +51,11 @@ _HELP = ("-h", "--help")
 _PLACES = {"replay": ("--table", "--row"), "report": ("--table",), "run": ("--file",)}
 """Arguments that are known by their place, not by their name."""
 _REPEATED = ("--obstacle", "--payload", "--variant")
-_RENAMED = {"--arm": "--variant"}
 """Arguments of `walk` that may be given several times."""
+_RENAMED = {"--arm": "--variant"}
+"""Old names of arguments, and their new ones."""
 _TITLES = ("Missing argument", "Value error", "Required options", "Unrecognized options")
-"""Of tyro's boxes of complaints."""
+"""Titles of tyro's boxes of complaints."""
 _WORDS = {"INT": "a whole number", "FLOAT": "a number", "PATH": "a path", "STR": "a text"}
 
 
@@ -121,7 +122,7 @@ def _parse(args: list[str]) -> tuple[str, Any]:
         raise InputError(_in_one_line(name, complaint.getvalue())) from None
 
 
-def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
+def _refuse_unknown(name: str, record: type[Any], args: list[str]) -> None:
     """Refuse an argument that the command does not have, before anything else is looked at."""
     known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(record)]
     known = [option for option in known if option not in _PLACES.get(name, ())]
@@ -143,7 +144,7 @@ def _refuse_unknown(name: str, record: Any, args: list[str]) -> None:
 
 
 def _in_one_line(name: str, box: str) -> str:
-    """What tyro says in a box, in the words of the other refusals."""
+    """Put what tyro says in a box into the words of the other refusals."""
     said, told = _parts(re.sub(r"\x1b\[[0-9;]*m", "", box))
     if match := re.match(r"Missing from .*?: (.*)", said):
         option, *words = match[1].removesuffix(" (required)").split()

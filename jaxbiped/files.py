@@ -64,7 +64,7 @@ def why_not_writable(folder: Path) -> str | None:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; a name that no file can have is none."""
+    """Whether the path is a file; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""How JAX runs: threads, devices and the compilation cache, set before it starts; and how every function is compiled.
+"""Settings of JAX before it starts: threads, devices, compilation cache; and the compiler of all functions.
 
 Nothing in the package starts a JAX back end when it is imported: what is set here, or in the environment, still counts.
 """
@@ -22,7 +22,7 @@ from jax.core import Tracer
 P = ParamSpec("P")
 R = TypeVar("R")
 
-OPTIONS: dict[str, Any] = {"xla_cpu_experimental_ynn_fusion_type": ""}
+OPTIONS: dict[str, str] = {"xla_cpu_experimental_ynn_fusion_type": ""}
 """On a CPU XLA may give sums and products of a few numbers to a library (YNN), which computes some of them wrongly in
 jaxlib 0.10.2, 0.11.0 and 0.11.1 (jax-ml/jax issue 39103), and whose calls cost more than the arithmetic does: with
 none given to it a tick takes a tenth less (`benchmarks/tick_profile.py`). Other devices take no notice."""
@@ -61,7 +61,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @functools.cache
-def options() -> dict[str, Any]:
+def options() -> dict[str, str]:
     """`OPTIONS`, or none where XLA refuses them."""
     with jax.ensure_compile_time_eval():
         try:
@@ -72,7 +72,7 @@ def options() -> dict[str, Any]:
 
 
 def _is_tracing() -> bool:
-    """Whether this is inside a function that JAX is tracing: there even a constant is a tracer."""
+    """Whether the caller runs inside a function that JAX is tracing, where even a constant is a tracer."""
     return isinstance(jnp.zeros(()), Tracer)
 
 
@@ -83,7 +83,7 @@ def use_threads(count: int = 1) -> None:
 
 
 def threads() -> int:
-    """How many compiled functions can run at once in this process: one on each of XLA's threads, one on a GPU."""
+    """Number of compiled functions that can run at once here: one on each of XLA's threads, one on a GPU."""
     if jax.default_backend() != "cpu":
         return 1
     given = os.environ.get("NPROC", "")
@@ -111,5 +111,5 @@ def gpus() -> list[str]:
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -41,7 +41,7 @@ OUTCOMES: dict[str, Outcome] = {
 }
 """Columns of what came of a walk, in every table."""
 ALWAYS = (*PayloadReflex.outcomes, *Landing.outcomes)
-"""Those of them that are stages', and there whether or not a controller has the stage."""
+"""Outcome columns of stages that every table has, whether or not a controller has the stage."""
 
 
 FAILED = ("fell", "nonfinite", "airborne")

@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+
+import equinox as eqx
 
 from jaxbiped import checked, planner, robot
 from jaxbiped.adapt import variants
@@ -28,7 +29,7 @@ def load_robot(given: robot.RobotParams | str | Path) -> tuple[robot.RobotParams
     return params, "" if str(given) in robot.presets() else str(Path(given).absolute())
 
 
-def kind_of(gait: Any) -> str | None:
+def kind_of(gait: object) -> str | None:
     """Name of the kind of a gait; None if it is not registered."""
     name = getattr(gait, "name", "")
     return name if planner.GAITS.get(name) is type(gait) else None
@@ -54,7 +55,7 @@ def plan(
     *,
     first_swing: int = robot.LEFT,
     allow_infeasible: bool = False,
-) -> Any:
+) -> planner.Gait:
     """Plan a walk by the name of its gait.
 
     A preset that is known to break a constraint is planned nevertheless.
@@ -83,7 +84,7 @@ def plan(
         raise Refusal(f"robot, gait: {error}") from None
 
 
-def gait_parameters(params: robot.RobotParams, kind: str, numbers: Mapping[str, float]) -> Any:
+def gait_parameters(params: robot.RobotParams, kind: str, numbers: Mapping[str, float]) -> eqx.Module:
     """The preset parameters of a gait for a robot, some of them changed.
 
     Raises:

@@ -5,12 +5,13 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import polars as pl
 import scipy
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxbiped.checked import Quantity, Refusal, shown, whole
 
@@ -24,9 +25,9 @@ Column = Float[np.ndarray, " n"]
 
 @runtime_checkable
 class Distribution(Protocol):
-    """What a column is drawn from: `Uniform`, `Normal`, `Choice`, or any frozen distribution of `scipy.stats`."""
+    """Distribution of a column: `Uniform`, `Normal`, `Choice`, or any frozen one of `scipy.stats`."""
 
-    def ppf(self, q: Any, /) -> Any:
+    def ppf(self, q: Column, /) -> ArrayLike:
         """Quantiles at probabilities from 0 to 1."""
         ...
 
@@ -150,7 +151,7 @@ def _drawn(name: str, distribution: Distribution, probabilities: Column) -> Colu
     return Quantity(shapes=(probabilities.shape,)).check(name, values)
 
 
-def _listed(given: Any) -> list[Any]:
+def _listed(given: object) -> list[object]:
     return list(given) if isinstance(given, Sequence | np.ndarray | pl.Series) and np.ndim(given) else [given]
 
 

@@ -1,4 +1,4 @@
-"""What is to be walked: a robot, variants of adaptation, scenarios; every variant meets every scenario."""
+"""Experiments: a robot, variants of adaptation, and scenarios; every variant meets every scenario."""
 
 import hashlib
 import json
@@ -27,13 +27,13 @@ MAX_LANES = 128
 LANE_STEP = 8
 """Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""
 MAX_TURNS, MIN_CHUNKS = 4, 32
-"""How many scenarios a lane of a chunk takes one after the other, if so many chunks are left for every variant."""
+"""Most scenarios that a lane takes one after the other, and fewest chunks of a variant at that."""
 PAGES = Word(("overview", "payload", "obstacles"), "what is drawn of the results, see `report.pages`")
 RULES = Word(("papers",), "success by elkahlout's rule where the weight changes suddenly, else by khadiv's")
 
 
 _KINDS = {"robot": RobotParams, "variants": Mapping, "scenarios": pl.DataFrame, "options": Options}
-"""What the parts of an experiment are."""
+"""Types of the parts of an experiment."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,17 @@ class Experiment:
     """
 
     robot: RobotParams
-    """As the planner knows it."""
+    """The robot as the planner knows it."""
     variants: Mapping[str, Controller]
     """Controllers by name. Pads lie under the footholds of the first one's gait."""
     scenarios: pl.DataFrame
     """One row for each scenario, see `inputs`; from `grid`, `draw` or by hand."""
     options: Options = field(default_factory=Options)
-    """Of the simulation; noise and delay are switched on where a scenario has some."""
+    """Options of the simulation; noise and delay are switched on where a scenario has some."""
     duration: float | Mapping[str, float] | None = None
-    """How long every walk is simulated [s], or those of each variant; None: as long as each needs, see `durations`."""
+    """Simulated time of all walks, or by variant [s]; None: as long as each needs, see `durations`."""
     seed: int | np.integer = 0
-    """Of the sensors' noise."""
+    """Seed of the sensors' noise."""
     batch: int | np.integer | None = None
     """Walks at once; None: up to MAX_LANES."""
     robot_file: str = ""
@@ -104,7 +104,7 @@ class Experiment:
                 )
 
     def _checked_duration(self) -> float | dict[str, float] | None:
-        """How long walks are simulated [s], every number within its range."""
+        """Simulated time of the walks [s], every number within its range."""
         given = self.duration
         if given is None or not isinstance(given, Mapping):
             return None if given is None else DURATION.check("duration", given)
@@ -157,7 +157,7 @@ class Experiment:
 
     @cached_property
     def durations(self) -> dict[str, float]:
-        """How long every variant walks [s]: the plan, and a recovery for every change of weight."""
+        """Simulated time of every variant [s]: the plan, and a recovery for every change of weight."""
         if isinstance(self.duration, Mapping):
             return dict(self.duration)
         if self.duration is not None:
@@ -207,12 +207,12 @@ class Experiment:
 
     @property
     def rows(self) -> int:
-        """Of the results table."""
+        """Number of rows of the results table."""
         return len(self.variants) * self.table.height
 
     @property
     def ticks(self) -> int:
-        """Physics ticks of all walks."""
+        """Number of physics ticks of all walks."""
         each = sum(round(self.durations[name] / self.simulation.dt) for name in self.variants)
         return each * self.table.height
 

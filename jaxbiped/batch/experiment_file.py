@@ -38,12 +38,12 @@ import polars as pl
 from jaxbiped import checked
 from jaxbiped.adapt import Controller, variants
 from jaxbiped.batch import defaults, inputs
-from jaxbiped.batch.draws import MAX_ROWS, Choice, Normal, Uniform, draw, grid
+from jaxbiped.batch.draws import MAX_ROWS, Choice, Distribution, Normal, Uniform, draw, grid
 from jaxbiped.batch.experiment import MAX_BATCH, PAGES, RULES, Experiment
 from jaxbiped.checked import Field, Flag, Quantity, Refusal, Word
-from jaxbiped.planner import GAITS
+from jaxbiped.planner import GAITS, Gait
 from jaxbiped.planner.constraints import OR_ALLOW
-from jaxbiped.robot import SIDE_NAMES
+from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.sim import Options, own_options
 from jaxbiped.sim.options import CONTACTS, DURATION, MAX_TICKS
 from jaxbiped.sim.plant import PAYLOAD_MODELS
@@ -52,12 +52,12 @@ TABLES = ("robot", "gait", "variants", "scenarios", "simulation", "score", "repo
 INCOMPLETE = "incomplete"
 """Key of a file that does not say all of its experiment, see `experiment_writer`."""
 KINDS = ("grid", "rows", "draw", "table")
-"""In which ways scenarios can be given."""
+"""Ways in which scenarios can be given."""
 CLOCKS = Word(
     ("walk", "gait"), "since when times are counted: the start of the walk, or of the gait's own clock"
 )
 TIMES = ("load_time_s", "load_end_s", "push_time_s")
-"""Columns that are counted on that clock."""
+"""Columns of times, which are counted on the clock that the file names."""
 OPTIONS: dict[str, Field] = {
     "dt": Quantity("s", 1e-5, 0.01),
     "feed_forward": Flag("add the plan's inverse dynamics to the servos' torque"),
@@ -129,8 +129,8 @@ def _robot_path(name: str, folder: Path) -> str:
     return str(folder / name) if name.endswith(".toml") else name
 
 
-def _gait(table: Table, robot: Any, folder: Path) -> Callable[[], Any]:
-    """What plans the gait."""
+def _gait(table: Table, robot: RobotParams, folder: Path) -> Callable[[], Gait]:
+    """A function that plans the gait."""
     checked.refuse_unknown(
         "gait.", table, ("kind", "steps", "first_swing", "file", "parameters", "allow_infeasible")
     )
@@ -149,7 +149,7 @@ def _gait(table: Table, robot: Any, folder: Path) -> Callable[[], Any]:
     given = variants.flat(_table("gait.parameters", given))
     numbers = checked.read_table("gait.parameters", given, quantities)
 
-    def plan() -> Any:
+    def plan() -> Gait:
         return defaults.plan(
             robot, kind, steps, numbers, first_swing=SIDE_NAMES.index(first), allow_infeasible=allow
         )
@@ -165,7 +165,7 @@ def _gait_file(path: Path) -> Table:
     return tables[variants.GAIT]
 
 
-def _variants(given: Any, folder: Path) -> dict[str, variants.Tables]:
+def _variants(given: object, folder: Path) -> dict[str, variants.Tables]:
     """Checked tables of every variant, by its name."""
     every = _table("variants", given)
     if not every:
@@ -173,7 +173,7 @@ def _variants(given: Any, folder: Path) -> dict[str, variants.Tables]:
     return {name: _variant(f"variants.{name[:80]}", table, folder) for name, table in every.items()}
 
 
-def _variant(where: str, given: Any, folder: Path) -> variants.Tables:
+def _variant(where: str, given: object, folder: Path) -> variants.Tables:
     table = _table(where, given)
     if "file" not in table:
         return variants.check_tables(table, f"{where}.")
@@ -187,7 +187,7 @@ def _variant(where: str, given: Any, folder: Path) -> variants.Tables:
         raise Refusal(f"{where}.file: {error}") from None
 
 
-def _controller(name: str, tables: variants.Tables, robot: Any, gait: Any) -> Controller:
+def _controller(name: str, tables: variants.Tables, robot: RobotParams, gait: Gait) -> Controller:
     try:
         return variants.controller(tables, robot, gait)
     except Refusal as error:
@@ -198,7 +198,7 @@ def _controller(name: str, tables: variants.Tables, robot: Any, gait: Any) -> Co
 
 
 def _scenarios(table: Table, folder: Path) -> tuple[str, Make]:
-    """The clock that times are counted on, and what makes the table."""
+    """The clock that times are counted on, and a function that makes the table."""
     checked.refuse_unknown("scenarios.", table, ("clock", *KINDS))
     given = [kind for kind in KINDS if kind in table]
     if len(given) != 1:
@@ -250,7 +250,7 @@ def _draw(where: str, table: Table) -> Make:
     return lambda: draw(n, seed, latin_hypercube=latin, **columns)
 
 
-def _values(where: str, name: str, given: Any) -> list[Any]:
+def _values(where: str, name: str, given: object) -> list[float | int]:
     """The values of a column: a list, one number, or a range with both ends."""
     if name == inputs.SEED:
         return [checked.whole(where, value, 0, 2**31 - 1) for value in _listed(given)]
@@ -277,8 +277,8 @@ def _from_to(where: str, table: Table, quantity: Quantity) -> list[float]:
     return [float(f"{first + i * read['step']:.12g}") for i in range(int(count + 1e-9) + 1)]
 
 
-def _drawn(where: str, name: str, given: Any) -> Any:
-    """What a column is drawn from: a distribution, or one number."""
+def _drawn(where: str, name: str, given: object) -> Distribution | float:
+    """Distribution of a column, or its one number."""
     allowed = _quantity(where, name)
     if not isinstance(given, dict):
         return allowed.check(where, given)
@@ -300,7 +300,7 @@ def _drawn(where: str, name: str, given: Any) -> Any:
 
 
 def _quantity(where: str, name: str) -> Quantity:
-    """What the numbers of a column may be."""
+    """Range of the numbers of a column."""
     known = inputs.declared([name])
     if name not in known:
         raise Refusal(f"{where}: unknown, allowed: {inputs.COLUMNS}{inputs.nearest_column(name)}")
@@ -326,7 +326,7 @@ def _on_walk_clock(table: pl.DataFrame, start: float) -> pl.DataFrame:
 # Simulation and report -------------------------------------------------------------------------------------------
 
 
-def _simulation(table: Table, tables: Mapping[str, Any]) -> Table:
+def _simulation(table: Table, tables: Mapping[str, object]) -> Table:
     """The checked values of [simulation], those that are given."""
     checked.refuse_unknown("simulation.", table, (*OPTIONS, *WHOLE, "duration"))
     read = {
@@ -358,29 +358,29 @@ def _pages(table: Table) -> tuple[str, ...]:
 # Of any table ----------------------------------------------------------------------------------------------------
 
 
-def _table(name: str, given: Any) -> Table:
+def _table(name: str, given: object) -> Table:
     if not isinstance(given, dict):
         got = "nothing" if given is None else checked.shown(given)
         raise Refusal(f"{name}: got {got}, allowed: a table [{name}]")
     return given
 
 
-def _text(name: str, given: Any, allowed: str) -> str:
+def _text(name: str, given: object, allowed: str) -> str:
     if not isinstance(given, str) or not given:
         got = "nothing" if given is None else checked.shown(given)
         raise Refusal(f"{name}: got {got}, allowed: {allowed}")
     return given
 
 
-def _path(name: str, given: Any, folder: Path) -> Path:
+def _path(name: str, given: object, folder: Path) -> Path:
     return folder / _text(name, given, "the path of a file")
 
 
-def _list(name: str, given: Any) -> list[Any]:
+def _list(name: str, given: object) -> list[object]:
     if not isinstance(given, list):
         raise Refusal(f"{name}: got {checked.shown(given)}, allowed: a list")
     return given
 
 
-def _listed(given: Any) -> list[Any]:
+def _listed(given: object) -> list[object]:
     return given if isinstance(given, list) else [given]

@@ -15,7 +15,7 @@ from jaxbiped.batch.draws import grid
 from jaxbiped.batch.experiment import RULES, Experiment
 from jaxbiped.batch.experiment_file import INCOMPLETE
 from jaxbiped.checked import Refusal
-from jaxbiped.planner import GAITS
+from jaxbiped.planner import GAITS, Gait
 from jaxbiped.robot import SIDE_NAMES
 
 SCENARIOS = "scenarios.parquet"
@@ -71,7 +71,7 @@ def _robot(experiment: Experiment, lacking: list[str]) -> str:
 
 def _gait(experiment: Experiment, lacking: list[str]) -> dict[str, Any]:
     """The first variant's gait; it was accepted when the experiment was made, so that it may break a constraint."""
-    gait: Any = _first_gait(experiment)
+    gait = _first_gait(experiment)
     kind = defaults.kind_of(gait)
     try:
         if kind is None:
@@ -114,7 +114,7 @@ def _variants(experiment: Experiment, lacking: list[str]) -> dict[str, Any]:
     return found
 
 
-def _first_gait(experiment: Experiment) -> Any:
+def _first_gait(experiment: Experiment) -> Gait:
     return next(iter(experiment.variants.values())).gait
 
 
@@ -139,7 +139,7 @@ def _own_seeds(experiment: Experiment) -> pl.DataFrame:
     return inputs.complete(experiment.table.drop(inputs.SEED), int(experiment.seed))
 
 
-def _column(values: pl.Series) -> Any:
+def _column(values: pl.Series) -> float | int | list[float | int]:
     """One number if all are the same, else all of them."""
     return values[0] if values.n_unique() == 1 else values.to_list()
 

@@ -1,4 +1,4 @@
-"""What a scenario table may say: one column for each number of a scenario, its unit in its name.
+"""Inputs of a scenario table: one column for each number of a scenario, its unit in its name.
 
 A table is a polars frame with one row for each scenario; a column that is not given has its default everywhere.
 Of some columns there are many, and a table has those it is given: `step_K_height_m`, the height of a pad under the
@@ -75,7 +75,7 @@ _DEFAULTS = {
 }
 """Default and meaning of every column."""
 INPUTS = {name: Input(RANGES[name], default, what) for name, (default, what) in _DEFAULTS.items()}
-"""By the name of the column."""
+"""Inputs by the names of their columns."""
 SEED = "seed"
 """Column of the sensors' noise; whole numbers."""
 HEIGHT = Input(RANGES["height_m"], 0.0, "height of a pad under the foothold of a step, negative for a hole")
@@ -83,7 +83,7 @@ STUCK = Input(Quantity("", 0.0, 1.0), 0.0, "1 for a contact switch that never cl
 GAP = Input(RANGES["delta_z_m"], 0.01, "gap at which one contact switch closes, instead of delta_z_m")
 _HEIGHT_NAME = re.compile(r"step_(0|[1-9]\d*)_height_m")
 _SWITCHES = {(i, j): f"switch_{a}_{b}" for i, a in enumerate(SIDE_NAMES) for j, b in enumerate(CORNER_NAMES)}
-"""How the columns of the switch at a side and corner begin."""
+"""First part of the names of the columns of the switch at a side and corner."""
 _SWITCH_COLUMNS = {
     **{f"{name}_stuck": STUCK for name in _SWITCHES.values()},
     **{f"{name}_gap_m": GAP for name in _SWITCHES.values()},
@@ -104,7 +104,7 @@ def steps_of(columns: Sequence[str]) -> list[int]:
 
 
 def declared(columns: Sequence[str]) -> dict[str, Input]:
-    """What a table with these columns may say, by the names of the columns; all but the seed."""
+    """Inputs of a table with these columns, by the names of the columns; all but the seed."""
     heights = {height_column(step): HEIGHT for step in steps_of(columns)}
     switches = {name: one for name, one in _SWITCH_COLUMNS.items() if name in columns}
     return {**INPUTS, **heights, **switches}
@@ -141,7 +141,7 @@ def complete(scenarios: pl.DataFrame, seed: int) -> pl.DataFrame:
 
 
 def changes_of_weight(table: pl.DataFrame) -> int:
-    """How often the weight changes suddenly in a walk, at most: a load carried from the start is put on unnoticed."""
+    """Most sudden changes of weight in a walk; a load carried from the start is put on unnoticed."""
     is_loaded = pl.col("load_kg") > 0.0
     on, off = (
         is_loaded & (pl.col(name) > 0.0) & (pl.col(name) < NEVER) for name in ("load_time_s", "load_end_s")

@@ -7,9 +7,9 @@ import scipy
 from jaxtyping import Float
 
 CONFIDENCE = 0.95
-"""Of every interval of a table of walks."""
+"""Confidence of every interval of a table of walks."""
 RESAMPLES = 10_000
-"""Of the bootstrap."""
+"""Resamples of the bootstrap."""
 BATCH = 1_000
 """Resamples of the bootstrap that are in memory at once."""
 FEW = 20

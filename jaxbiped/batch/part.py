@@ -51,7 +51,7 @@ def _outcomes(walks: Walk, controller: Controller, batch: Scenario) -> Columns:
 
 
 def outcome_of(walk: Walk, controller: Controller, scenario: Scenario) -> Columns:
-    """What the table says of one walk, as numbers."""
+    """Columns of the table for one walk, as numbers."""
     s, verdict = walk.statistics, judge(walk, controller.gait, scenario)
     roll, pitch = jnp.rad2deg(s.peak_roll_pitch)
     feet = {

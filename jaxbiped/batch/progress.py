@@ -1,4 +1,4 @@
-"""How far a run is, said now and then, so that nothing long is silent: not even while XLA compiles."""
+"""Progress of a run, told now and then, so that nothing long is silent, not even while XLA compiles."""
 
 import sys
 import threading
@@ -6,19 +6,22 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from io import TextIOBase
+from typing import TextIO
 
+Stream = TextIO | TextIOBase
+"""A text file, or what stands in for one."""
 BAR = 24
 """Characters of the bar of progress."""
 FIRST_S, EVERY_S = 5.0, 30.0
-"""When a line is first written where there is no terminal, and how often from then on [s]."""
+"""Time to the first line where there is no terminal, and between two lines from then on [s]."""
 REDRAWN_S = 1.0
-"""How often the line of a terminal is written anew [s]."""
+"""Time between two writings of the line of a terminal [s]."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run has got."""
+    """Progress of a run."""
 
     done: int
     """Walks finished, those found in the folder among them."""
@@ -26,24 +29,24 @@ class Progress:
     failed: int
     """Walks that were no success, or fell after it, of those finished."""
     seconds: float
-    """Since the run began [s]."""
+    """Time since the run began [s]."""
     rate: float | None
     """Walks a second in this run; None until a chunk is finished."""
     seconds_left: float | None
-    """Estimate [s]; None until a chunk is finished."""
+    """Estimate of the time that is left [s]; None until a chunk is finished."""
     under_way: float = 0.0
-    """What is done of the chunks that are being walked, in whole walks."""
+    """Work done on the chunks that are being walked, in whole walks."""
 
 
-def show(stream: Any = None) -> "Shown":
+def show(stream: Stream | None = None) -> "Shown":
     """Say the progress of a run: on a terminal one line that is written over again, elsewhere a line now and then."""
     return Shown(stream or sys.stderr)
 
 
 class Shown:
-    """To be called with a `Progress` after every chunk and within it; `close` ends it."""
+    """A display to be called with a `Progress` after every chunk and within it; `close` ends it."""
 
-    def __init__(self, stream: Any):
+    def __init__(self, stream: Stream):
         self._last: Progress | None = None
         self._at = time.monotonic()
         self._pulse = _Pulse(stream, self._words)
@@ -75,7 +78,7 @@ class Shown:
 
 
 @contextmanager
-def waiting(what: str, stream: Any = None, redraw: bool = True) -> Iterator[None]:
+def waiting(what: str, stream: Stream | None = None, redraw: bool = True) -> Iterator[None]:
     """Say now and then that something is still going on.
 
     Args:
@@ -106,7 +109,7 @@ def duration(seconds: float) -> str:
 class _Pulse:
     """Writes words to a stream now and then, in a thread of its own."""
 
-    def __init__(self, stream: Any, words: Callable[[], str], keep: bool = True, redraw: bool = True):
+    def __init__(self, stream: Stream, words: Callable[[], str], keep: bool = True, redraw: bool = True):
         self.stream, self.words, self.keep = stream, words, keep
         self.terminal = redraw and bool(getattr(stream, "isatty", lambda: False)())
         self.ended, self.width = threading.Event(), 0

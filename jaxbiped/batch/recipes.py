@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -15,6 +14,7 @@ from jaxbiped.batch.draws import grid
 from jaxbiped.batch.experiment import Experiment
 from jaxbiped.batch.inputs import height_column
 from jaxbiped.checked import Refusal, nearest
+from jaxbiped.planner import Gait
 from jaxbiped.robot import RobotParams
 from jaxbiped.sim.scenario import RANGES
 
@@ -23,9 +23,9 @@ LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
 TIMES = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4)
 """Loading times on the gait's own clock [s]."""
 HEIGHTS = tuple(0.01 * cm for cm in range(-5, 6))
-"""Of pads and holes [m]."""
+"""Heights of pads and holes [m]."""
 LATEST = 60.0
-"""Of loading times [s]."""
+"""Latest loading time [s]."""
 STEPS_AFTER = 4
 """Steps planned after the one of the last loading: the rest of it, the one after the recovery, and two whole ones."""
 
@@ -132,7 +132,7 @@ def numbers(name: str, values: Iterable[float], unit: str, low: float, high: flo
 
 
 def controllers(
-    names: Iterable[str], stage: str, params: RobotParams, gait: Any, allow_infeasible: bool = False
+    names: Iterable[str], stage: str, params: RobotParams, gait: Gait, allow_infeasible: bool = False
 ) -> dict[str, Controller]:
     """Controllers with one stage by the names of its variants, or by files.
 
@@ -156,14 +156,14 @@ def controllers(
     return found
 
 
-def _from_file(name: str, params: RobotParams, gait: Any, allow_infeasible: bool) -> Controller:
+def _from_file(name: str, params: RobotParams, gait: Gait, allow_infeasible: bool) -> Controller:
     try:
         return files_of_variants.load(Path(name), params, gait, allow_infeasible)
     except Refusal as error:
         raise Refusal(f"variants: {error}") from None
 
 
-def _steps_until(time: float, gait: Any) -> int:
+def _steps_until(time: float, gait: Gait) -> int:
     """Steps of a walk that is to be completed after a load at this time on the gait's own clock [s]."""
     since_liftoff = time + float(gait.clock_start) - float(gait.timing.first_liftoff)
     return max(0, math.floor(since_liftoff / float(gait.timing.T_c))) + 1 + STEPS_AFTER
@@ -172,7 +172,7 @@ def _steps_until(time: float, gait: Any) -> int:
 def _experiment(  # noqa: PLR0913
     params: RobotParams,
     file: str,
-    gait: Any,
+    gait: Gait,
     stage: str,
     names: Iterable[str],
     scenarios: pl.DataFrame,

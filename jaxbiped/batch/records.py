@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeGuard
 
 import equinox as eqx
 import jax
@@ -38,7 +38,7 @@ RECORDS: dict[str, type[eqx.Module]] = {
     "model_errors": scenario.ModelErrors,
     "sensor_faults": scenario.SensorFaults,
 }
-"""What records are called in files, but for those of gaits and stages. A name that was ever written stays for good."""
+"""Records by their names in files, but for those of gaits and stages; a name once written stays for good."""
 
 
 def known() -> dict[str, type[eqx.Module]]:
@@ -46,9 +46,9 @@ def known() -> dict[str, type[eqx.Module]]:
     return {**RECORDS, **_of_gaits(), **_of_stages()}
 
 
-def _of_gaits() -> dict[str, Any]:
+def _of_gaits() -> dict[str, type[Any]]:
     """Every gait, its parameters and the records in them."""
-    found: dict[str, Any] = {}
+    found: dict[str, type[Any]] = {}
     for name, gait in planner.GAITS.items():
         inside = {f"{name}_gait_{key}": record for key, record in gait.records.items()}
         found |= {f"{name}_gait": gait, f"{name}_gait_parameters": gait.parameters, **inside}
@@ -85,8 +85,8 @@ _BEFORE_0_2 = {
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
-def to_json(value: Any) -> Any:
-    """What `json.dumps` takes; `from_json` gives the value back, bit for bit.
+def to_json(value: object) -> Any:
+    """Write a value as `json.dumps` takes it; `from_json` gives it back, bit for bit.
 
     Raises:
         TypeError: for a value that is no array, plain value or record of RECORDS.
@@ -113,7 +113,7 @@ def to_json(value: Any) -> Any:
     )
 
 
-def from_json(data: Any) -> Any:
+def from_json(data: object) -> Any:
     """The value that `to_json` was given; arrays are JAX's.
 
     Raises:
@@ -134,12 +134,12 @@ def from_json(data: Any) -> Any:
     return _record(data)
 
 
-def digest(data: Any) -> str:
+def digest(data: object) -> str:
     """SHA-256 of a JSON value, whatever the order of its keys."""
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
-def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
+def differences(old: object, new: object, path: str = "") -> Iterator[str]:
     """Where two JSON values differ, as `path: old -> new`."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(k for k in new if k not in old)]:
@@ -157,7 +157,7 @@ def differences(old: Any, new: Any, path: str = "") -> Iterator[str]:
         yield f"{path}: {_short(old)} -> {_short(new)}"
 
 
-def _are_records(value: Any) -> bool:
+def _are_records(value: object) -> TypeGuard[list[dict[str, Any]]]:
     return isinstance(value, list) and all(isinstance(item, dict) for item in value)
 
 
@@ -188,7 +188,7 @@ def _record(data: dict[str, Any]) -> Any:
 
 
 def _name(made: type) -> str | None:
-    """What a record is called."""
+    """Name of a record in files; None if it has none."""
     return next((name for name, record in known().items() if record is made), None)
 
 
@@ -197,22 +197,22 @@ def _default(field: dataclasses.Field) -> Any:
     return convert(field.default)
 
 
-def _number(value: float) -> Any:
+def _number(value: float) -> float | dict[str, str]:
     return value if math.isfinite(value) else {"float": repr(value)}
 
 
-def _nested(value: Any) -> Any:
+def _nested(value: object) -> object:
     if isinstance(value, list):
         return [_nested(item) for item in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _numbers(value: Any) -> Any:
+def _numbers(value: object) -> object:
     if isinstance(value, list):
         return [_numbers(item) for item in value]
     return _NOT_FINITE[value] if isinstance(value, str) else value
 
 
-def _short(value: Any, most: int = 60) -> str:
+def _short(value: object, most: int = 60) -> str:
     text = str(value["value"] if isinstance(value, dict) and "value" in value else value)
     return text if len(text) <= most else text[: most - 3] + "..."

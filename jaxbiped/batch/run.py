@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -19,7 +18,7 @@ from jaxbiped.checked import whole
 TICKS_PER_SECOND = 6e4
 """Physics ticks of a walk in a second on one core, roughly; for estimates."""
 COMPILE_SECONDS = 60.0
-"""To compile the walks of one variant, roughly; a quarter from the cache."""
+"""Time to compile the walks of one variant, roughly; a quarter of it from the cache [s]."""
 BASE_MIB, LANE_KIB = 2000.0, 40.0
 """Memory of a worker while it compiles, without its walks, and of one walk, roughly."""
 MAX_WORKERS = 4096
@@ -27,7 +26,7 @@ MAX_WORKERS = 4096
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run is going to do, see `--dry-run`."""
+    """Plan of a run, see `--dry-run`."""
 
     scenarios: int
     variants: int
@@ -42,11 +41,11 @@ class Plan:
     """Walks in a chunk."""
     workers: int
     simulated_s: float
-    """Of all walks together [s]."""
+    """Simulated time of all walks together [s]."""
     memory_per_worker_MiB: float
-    """Estimate."""
+    """Estimate of the memory of a worker [MiB]."""
     wall_time_s: float
-    """Estimate for what is left, without a cache of compiled functions."""
+    """Estimate of the time for what is left, without a cache of compiled functions [s]."""
 
 
 def run(
@@ -104,7 +103,7 @@ def run(
 def plan(
     experiment: Experiment, out: str | Path | None = None, workers: int | None = None, overwrite: bool = False
 ) -> Plan:
-    """What `run` would do, without simulating and without touching anything on the disk.
+    """Plan what `run` would do, without simulating and without touching anything on the disk.
 
     Raises:
         StoreError: if `run` would refuse the folder.
@@ -163,7 +162,7 @@ class _Count:
         self._tell()
 
     def _tell(self) -> None:
-        """The first chunk took longer, since it had to be compiled: it counts only as long as there is no other."""
+        """Tell the progress; the first chunk, which was compiled too, counts only while there is no other."""
         seconds, (walked, took) = time.perf_counter() - self.began, self.first
         if self.walked > walked > 0:
             rate = (self.walked - walked) / max(self.measured - took, 1e-9)
@@ -191,7 +190,7 @@ def _folder(out: str | Path) -> Path:
     return Path(out)
 
 
-def _workers(given: Any) -> int | None:
+def _workers(given: int | None) -> int | None:
     return None if given is None else whole("workers", given, 1, MAX_WORKERS)
 
 

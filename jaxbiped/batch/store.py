@@ -42,10 +42,11 @@ RESOLVED, RESOLVED_MARK = "experiment.toml", "# Resolved experiment "
 """The experiment as a file for a person, and how such a file of a batch begins."""
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars")
 FORMAT = 3
-"""Of the folder."""
+"""Format of the folder."""
 CALLED: dict[int | None, str] = {None: "arm", 2: "arm", FORMAT: "variant"}
-"""What every format calls a variant. Version 0.1 wrote no format: its parts carry no checksum, and are judged by their
-rows alone."""
+"""Word for a variant in every format.
+
+Version 0.1 wrote no format: its parts carry no checksum, and are judged by their rows alone."""
 SEAL = "jaxbiped"
 """Entry of a Parquet file's own metadata that says whose it is."""
 _NO_SUM = "0" * 64
@@ -64,7 +65,7 @@ class DamagedError(ValueError):
 
 @dataclass(frozen=True)
 class Found:
-    """What is in a folder of an experiment."""
+    """Contents of the folder of an experiment."""
 
     failed: dict[int, int]
     """Walks that failed in every chunk whose part is there and right, by the chunk's number."""
@@ -142,7 +143,7 @@ class Store:
         return found
 
     def _describe(self) -> None:
-        """Write what says what the folder holds, where it is missing."""
+        """Write the files that describe the folder, where they are missing."""
         if not (self.folder / SCENARIOS).exists():
             write_frame(self.folder / SCENARIOS, self.experiment.table)
         if not (self.folder / EXPERIMENT).exists():
@@ -208,7 +209,7 @@ class Store:
         return any(self.folder.glob(f"{PARTS}/{self.key[:16]}-*.parquet"))
 
     def _description(self) -> dict[str, Any] | None:
-        """What the folder says it holds; None if it says nothing that can be read."""
+        """The folder's own description; None if it has none that can be read."""
         try:
             there = json.loads((self.folder / EXPERIMENT).read_text(encoding="utf-8"))
             return {name: there[name] for name in self.description}
@@ -334,7 +335,7 @@ def open_table(path: str | Path, tell: Tell = to_stderr) -> tuple[Experiment, pl
 
 
 def failures(rows: pl.DataFrame) -> int:
-    """How many walks were no success, or ended in a fall after it."""
+    """Number of walks that were no success, or ended in a fall after it."""
     return rows.filter(~pl.col("success") | pl.col("status").is_in(FAILED)).height
 
 
@@ -493,13 +494,13 @@ def _write(path: Path, content: bytes | str) -> None:
 
 
 def code() -> dict[str, str]:
-    """What the rows depend on besides the experiment: versions of packages, and a hash of this one's source."""
+    """Code that the rows depend on: versions of packages, and a hash of this one's source."""
     return {**_versions(), "source_sha256": source_hash()}
 
 
 @cache
 def source_hash() -> str:
-    """Of all Python and data files of the package, as they were when first asked."""
+    """SHA-256 of all Python and data files of the package, as they were when first asked."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(root.rglob("*")):

@@ -1,4 +1,4 @@
-"""What a table of walks says: success rates, one variant against another, limits, and which input decides.
+"""Summaries of a table of walks: success rates, one variant against another, limits, and which input decides.
 
 A table has one row per walk: `variant` and `scenario` (every variant meets the same scenarios), inputs, outcome.
 """
@@ -58,7 +58,7 @@ class PairedMeans:
     n: int
     """Scenarios in which both succeed."""
     mean: float
-    """Of `variant`."""
+    """Mean of `variant`."""
     mean_against: float
     difference: float
     """Mean of `variant` less that of `against`."""
@@ -313,7 +313,7 @@ def _by_scenario(table: pl.DataFrame, variant: str, *more: str) -> pl.DataFrame:
 
 
 def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
-    """Newcombe's phi: of the two successes, drawn towards 0 where it is positive."""
+    """Newcombe's phi, the correlation of the two successes, drawn towards 0 where it is positive."""
     n = both + only_first + only_second + neither
     product = both * neither - only_first * only_second
     if product > 0:
@@ -326,13 +326,13 @@ def _hypotenuse(one: float, other: float, phi: float) -> float:
     return math.sqrt(max(0.0, one**2 - 2.0 * phi * one * other + other**2))
 
 
-Rung = tuple[Any, float, float, float]
+Rung = tuple[float | int, float, float, float]
 """A value, its success rate, and the ends of the rate's interval."""
 
 
 def _ladders(cell: pl.DataFrame, signed: bool) -> Iterator[tuple[str, list[Rung]]]:
     """Values and their rates on the way out, for every way there is."""
-    rungs: list[Any] = sorted(cell.iter_rows())
+    rungs: list[Rung] = sorted(cell.iter_rows())
     if not signed:
         yield UP, rungs
         return
@@ -344,7 +344,9 @@ def _ladders(cell: pl.DataFrame, signed: bool) -> Iterator[tuple[str, list[Rung]
         yield DOWN, below
 
 
-def _limit(ladder: Sequence[Rung], level: float) -> tuple[Any, Any, Any, bool]:
+def _limit(
+    ladder: Sequence[Rung], level: float
+) -> tuple[float | int | None, float | int | None, float | int | None, bool]:
     """The limit, up to where it is sure to reach, from where on it is sure not to, and whether every value holds."""
     values = [value for value, *_ in ladder]
     held, sure, possible = (
@@ -355,7 +357,7 @@ def _limit(ladder: Sequence[Rung], level: float) -> tuple[Any, Any, Any, bool]:
 
 
 def _cause(walks: pl.DataFrame, name: str) -> dict[str, Any]:
-    """What one input says about success in one variant."""
+    """Information of one input about success in one variant."""
     values = walks[name].cast(pl.Float64).fill_null(math.nan).to_numpy()
     success = walks["success"].to_numpy().astype(int)
     codes = _bins(values)
@@ -385,7 +387,7 @@ def _bins(values: np.ndarray) -> np.ndarray:
 
 
 def _entropy(codes: np.ndarray) -> tuple[float, int]:
-    """Of what was counted [bit], and how many different values there are."""
+    """Entropy of the counted values [bit], and the number of different ones."""
     counts = np.unique(codes, return_counts=True)[1]
     share = counts / counts.sum()
     return float(-(share * np.log2(share)).sum()), len(counts)

@@ -1,4 +1,4 @@
-"""What the commands that walk batches share: their arguments, their run, their tables and pages."""
+"""Shared parts of the commands that walk batches: their arguments, their run, their tables and pages."""
 
 import contextlib
 import math
@@ -127,7 +127,7 @@ def claim(experiment: batch.Experiment, command: Place, figures: Iterable[str] =
 
 
 def experiment(*given: Any, **named: Any) -> batch.Experiment:
-    """An experiment, or a refusal."""
+    """Make an experiment, or refuse in the words of the command line."""
     with naming_arguments():
         return batch.Experiment(*given, **named)
 
@@ -179,7 +179,7 @@ def rates(table: pl.DataFrame) -> list[str]:
 
 
 def again(table: pl.DataFrame, out: Path) -> list[str]:
-    """How to see the first walk that failed, if any did."""
+    """Words on how to see the first walk that failed, if any did."""
     failed = table.filter(~pl.col("success") | pl.col("status").is_in(columns.FAILED))
     if failed.is_empty():
         return []
@@ -191,7 +191,7 @@ def again(table: pl.DataFrame, out: Path) -> list[str]:
 
 
 def number_or_none(value: float | None, digits: int = 4) -> float | None:
-    """For JSON, which has no NaN."""
+    """A rounded number for JSON; None for what is not finite."""
     return None if value is None or not math.isfinite(value) else round(value, digits)
 
 

@@ -1,7 +1,6 @@
-"""What names on the command line stand for: gaits, simulations, variants of adaptation."""
+"""Meaning of names on the command line: gaits, simulations, variants of adaptation."""
 
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 
@@ -58,7 +57,7 @@ def variant_tables(argument: str, path: Path) -> variants.Tables:
 
 
 def load_variant(
-    argument: str, path: Path, params: robot.RobotParams, gait: Any, allow_infeasible: bool = False
+    argument: str, path: Path, params: robot.RobotParams, gait: planner.Gait, allow_infeasible: bool = False
 ) -> adapt.Controller:
     """A controller from the TOML file of a variant, see `adapt.variants`; `argument` is what to name in a refusal.
 

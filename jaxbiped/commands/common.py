@@ -1,4 +1,4 @@
-"""What the commands share: refusals, robots, output folders, figures, targets over time."""
+"""Shared parts of the commands: refusals, robots, output folders, figures, targets over time."""
 
 import contextlib
 import importlib.util
@@ -14,6 +14,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxbiped import checked, files, planner, robot, runtime, sim
 
@@ -60,7 +61,7 @@ def load_robot(argument: str, name_or_path: str) -> robot.RobotParams:
         ) from None
 
 
-def whole(argument: str, given: Any, low: int, high: int) -> int:
+def whole(argument: str, given: object, low: int, high: int) -> int:
     """A whole number of an argument, within its range."""
     try:
         return checked.whole(argument, given, low, high)
@@ -127,8 +128,8 @@ def write(file: Path, content: bytes | str) -> Path:
         return files.write(file, content)
 
 
-def plain(value: Any) -> Any:
-    """For JSON, which has no NaN and nothing infinite: null in their place."""
+def plain(value: object) -> Any:
+    """A value for JSON, with None in place of NaN and of what is infinite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -149,7 +150,7 @@ def draw(make: Callable[[ModuleType], Mapping[str, Any]], out: Path) -> list[str
 
 
 @runtime.jit
-def targets_at(gait: Any, times: Any) -> planner.Targets:
+def targets_at(gait: planner.Gait, times: Float[Array, " n"]) -> planner.Targets:
     """Targets of a gait at many times [s], as a leading axis."""
     return jax.vmap(lambda t: planner.at(gait, t))(times)
 
@@ -168,7 +169,7 @@ def outcome(walk: sim.Walk) -> dict[str, Any]:
 
 
 def outcome_in_words(o: dict[str, Any]) -> str:
-    """The same as a line to read."""
+    """The numbers of `outcome` as a line to read."""
     return (
         f"{o['status']} at {o['end_time_s']:.2f} s, trunk roll up to {o['peak_roll_deg']:.1f} and pitch"
         f" {o['peak_pitch_deg']:.1f} deg, foot force up to {o['peak_foot_force_N']:.0f} N,"

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
+from jaxtyping import Array
 from tyro.conf import arg
 
 from jaxbiped import adapt, batch, kinematics, planner, robot, sim
@@ -52,7 +53,7 @@ N_STEPS = 8
 OBSTACLES = {2: 0.03, 4: 0.02, 6: 0.04}
 """Obstacles of the demonstration: step number and height [m]; the step after each is a retard landing."""
 TRACE_DT = 0.01
-"""Between two samples of a drawn trace [s]."""
+"""Time between two samples of a drawn trace [s]."""
 
 
 RECOVERY = {"variant": "modified", "load_kg": 15.0, "time_s": 1.2}
@@ -193,7 +194,7 @@ def _pictures(heading: str, files: list[str]) -> Any:
     )
 
 
-def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.Walk]:
+def _walk_over_obstacles(params: robot.RobotParams, gait: planner.Gait) -> dict[str, sim.Walk]:
     scenario = sim.Scenario.flat()
     for step, height in OBSTACLES.items():
         scenario = scenario.with_obstacle(params, gait, step, height)
@@ -210,7 +211,7 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: Any) -> dict[str, sim.
     }
 
 
-def _draw_obstacles(figures: ModuleType, gait: Any, walks: Mapping[str, Any]) -> dict[str, Any]:
+def _draw_obstacles(figures: ModuleType, gait: planner.Gait, walks: Mapping[str, Any]) -> dict[str, Any]:
     heights = ", ".join(f"{100 * height:g}" for height in OBSTACLES.values())
     what = f"surena3 over unknown obstacles of {heights} cm"
     traces: dict[str, Any] = {name: walk.trace for name, walk in walks.items()}
@@ -258,16 +259,16 @@ def _draw_elkahlout(figures: ModuleType, walk: Plan) -> dict[str, Any]:
     }
 
 
-def _cycle(gait: Any, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]:
+def _cycle(gait: planner.Gait, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]:
     """One cycle of the cosine gait over the thesis' own time [s], which begins T_ini after the start."""
     time = np.linspace(0.0, 2.0 * float(gait.params.T_c), samples)
     return time, targets_at(gait, jnp.asarray(time) + gait.params.T_ini)
 
 
 def summary_of(walk: Plan) -> dict[str, Any]:
-    """How feasible a plan is, in numbers."""
+    """Feasibility of a plan in numbers."""
 
-    def worst(reduce: Callable, values: Any) -> float:
+    def worst(reduce: Callable[[np.ndarray], float], values: Array) -> float:
         return float(reduce(np.asarray(values)))
 
     report = walk.feasibility
@@ -286,7 +287,7 @@ def summary_of(walk: Plan) -> dict[str, Any]:
 
 
 def in_words(s: dict[str, Any]) -> str:
-    """The same to read."""
+    """The numbers of `summary_of` as text to read."""
     return (
         f"{s['robot']}, {s['gait']}: {s['steps']} steps in {s['duration_s']:.1f} s\n"
         f"  smallest ZMP margin {1e3 * s['zmp_margin_min_m']:.1f} mm,"

@@ -12,12 +12,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxbiped import kinematics, planner, robot, runtime
 
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars", "tyro")
 PLAIN_JIT = jax.jit
-"""What a user's own functions are compiled with."""
+"""Compiler of a user's own functions."""
 EXTRAS = {"matplotlib": "viz", "jinja2": "viz", "distributed": "cluster"}
 """Packages of the extras, and which extra brings them."""
 
@@ -102,8 +103,8 @@ def _self_test() -> Finding:
     gait = planner.CosineGait.preset(params, 2)
 
     @runtime.jit
-    def error(times: Any) -> Any:
-        def one(t: Any) -> Any:
+    def error(times: Array) -> Array:
+        def one(t: Array) -> Array:
             task = planner.at(gait, t).position
             asked = task.sole - task.pelvis
             angles, _ = kinematics.joint_angles(params, asked)
@@ -122,7 +123,7 @@ def _self_test() -> Finding:
 def _arithmetic() -> Finding:
     """A sum of products that jaxlib 0.10.2, 0.11.0 and 0.11.1 compute wrongly on a CPU (jax-ml/jax issue 39103)."""
 
-    def squares(x: Any) -> Any:
+    def squares(x: np.ndarray | Array) -> Array:
         return jax.vmap(lambda row: jnp.sum((jnp.eye(3, dtype=x.dtype) @ row) ** 2))(x)
 
     with jax.default_device(jax.devices("cpu")[0]):

@@ -25,8 +25,9 @@ from jaxbiped.commands.common import (
 from jaxbiped.commands.walk_input import TRACE_DT, Load, Obstacle, Setup, Variants
 
 TOLERANCE = {"_s": 0.05, "_deg": 0.5, "_N": 60.0, "_Ns": 3.0, "_m": 5e-3}
-"""By how much a number of one walk may differ from its table's, where the walk was one of many [of the unit]: float32
-rounds differently in batches of other sizes, and walking amplifies that."""
+"""Largest difference of a number of one walk from its table's, where the walk was one of many [of the unit].
+
+Float32 rounds differently in batches of other sizes, and walking amplifies that."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
 
 
 def outcome(one: sim.Walk, setup: Setup) -> dict[str, Any]:
-    """What a results table would say of this walk."""
+    """The row of a results table for this walk."""
     said = part.outcome_of(one, setup.controller, setup.scenario)
     columns = {name: np.asarray(value)[None] for name, value in said.items()}
     return part.outcome_frame(columns, columns_of([setup.controller])).row(0, named=True)
@@ -117,7 +118,7 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[An
     return {name: (then[name], now[name]) for name in names if not _close(name, then[name], now[name])}
 
 
-def _close(name: str, then: Any, now: Any) -> bool:
+def _close(name: str, then: object, now: object) -> bool:
     if not isinstance(then, float) or not isinstance(now, float):
         return then == now
     allowed = TOLERANCE[f"_{name.rpartition('_')[2]}"]

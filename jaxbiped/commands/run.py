@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import polars as pl
 from tyro.conf import Positional, arg
 
 from jaxbiped import batch
@@ -64,7 +65,7 @@ def _files(experiment: batch.Experiment) -> list[str]:
     return [file for name in experiment.pages for file in pages.FILES[name]]
 
 
-def _draw(experiment: batch.Experiment, table: Any, out: Path) -> list[str]:
+def _draw(experiment: batch.Experiment, table: pl.DataFrame, out: Path) -> list[str]:
     if figures_or_word() is None:
         return []
     from jaxbiped.report import pages

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import jax
 import numpy as np
+import polars as pl
 from tyro.conf import arg
 
 from jaxbiped import adapt, batch, files, planner, sim, tune
@@ -40,24 +41,25 @@ from jaxbiped.commands.common import (
     whole,
     write,
 )
+from jaxbiped.robot import RobotParams
 from jaxbiped.tune.descent import STATE
 
 WHAT_HELP = "What to tune: a stage (payload, landing), or names such as payload.settling_time, landing.T_mod, gait.b_s."
 BASES = {"payload": adapt.PayloadReflex.variants, "landing": adapt.Landing.variants}
 LIGHTEST, HEAVIEST = 0.02, 0.2
-"""Of loads, as shares of the robot's mass."""
+"""Smallest and largest load, as shares of the robot's mass."""
 HIGHEST = 0.04
-"""Of pads [m]."""
+"""Largest height of a pad [m]."""
 STEPS = {"payload": 4, "landing": 6}
 HORIZON = 10.0
-"""Of the walks whose gradient is taken [s]."""
+"""Simulated time of the walks whose gradient is taken [s]."""
 VARIANT_FILE = "tuned.toml"
 FILES = (VARIANT_FILE, "loss.png", "values.png")
 MAX_COUNT = 100_000
 HELD_OUT_SEED = 1000
-"""How far the seed of the held-out scenarios is from that of the others."""
+"""Distance of the seed of the held-out scenarios from that of the others."""
 Tables = Mapping[str, Mapping[str, Any]]
-"""Of the file of a variant."""
+"""Tables of the file of a variant."""
 PAD_STEP = 2
 """Step under which the pads are."""
 
@@ -181,7 +183,9 @@ def set_up(command: Tune) -> tuple[tune.Problem, batch.Experiment, Tables]:
         raise InputError(f"--what: {error}") from None
 
 
-def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tables, adapt.Controller]:
+def _start(
+    command: Tune, params: RobotParams, gait: planner.Gait, stages: set[str]
+) -> tuple[Tables, adapt.Controller]:
     """The variant it starts from: its tables and the controller."""
     if command.variant and command.variant.endswith(".toml"):
         path = Path(command.variant)
@@ -195,7 +199,9 @@ def _start(command: Tune, params: Any, gait: Any, stages: set[str]) -> tuple[Tab
     return {stage: {"base": name} for stage, name in base.items()}, variant
 
 
-def _scenarios(command: Tune, params: Any, gait: Any, stages: set[str], seed: int) -> Any:
+def _scenarios(
+    command: Tune, params: RobotParams, gait: planner.Gait, stages: set[str], seed: int
+) -> pl.DataFrame:
     ranges: dict[str, Any] = {}
     if "payload" in stages:
         start = float(gait.clock_start)

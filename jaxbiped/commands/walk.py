@@ -98,7 +98,7 @@ class Told:
     """A simulated walk and what was read off it."""
 
     setup: Setup
-    walk: Any
+    walk: sim.Walk
     verdict: score.Verdict
     nominal: planner.TaskSpace
     """The plan at the trace's times, not a number where a reflex is in its place."""
@@ -159,7 +159,8 @@ def simulate(setup: Setup) -> sim.Walk:
         return jax.tree.map(np.asarray, walk)
 
 
-def _tell(setup: Setup, walk: Any) -> Told:
+def _tell(setup: Setup, walk: sim.Walk) -> Told:
+    assert walk.trace is not None and walk.controller is not None
     trace, stage = walk.trace, setup.controller.stage("payload")
     state = None if stage is None else walk.controller.stages["payload"]
     shifts = (0.0, 0.0) if state is None else (float(state.world_shift), float(state.x_shift))
@@ -223,6 +224,7 @@ _OF_REFLEX = [
 def _missed(told: Told) -> int:
     """Steps that ended without a touch, as far as landing adaptation watches for it."""
     landing = told.setup.controller.stage("landing")
+    assert told.walk.controller is not None
     return 0 if landing is None else int(told.walk.controller.stages["landing"].missed)
 
 
@@ -236,6 +238,7 @@ def _rounded(value: float | None) -> float | None:
 
 def _touch(told: Told, touch: score.Touch) -> dict[str, Any]:
     """A touch, and what adaptation had added to the swing foot's place by the end of the step."""
+    assert told.walk.trace is not None
     foot = ("left", "right").index(touch.foot)
     commanded = np.asarray(told.walk.trace.targets.position.sole)[touch.end_row, foot]
     added = commanded - np.asarray(told.nominal.sole)[touch.end_row, foot]
@@ -297,7 +300,12 @@ def _thin(nominal: planner.TaskSpace, rows: int) -> planner.TaskSpace:
 
 
 def _draw_payload(
-    figures: ModuleType, told: Told, full: Any, trace: Any, events: dict[str, list[float]], what: str
+    figures: ModuleType,
+    told: Told,
+    full: sim.Sample,
+    trace: sim.Sample,
+    events: dict[str, list[float]],
+    what: str,
 ) -> dict[str, Any]:
     """The thesis' figures; what the payload stage felt and did is left out where it was off or did nothing."""
     drawn = {

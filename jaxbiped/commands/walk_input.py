@@ -1,10 +1,10 @@
 """From the words of `jaxbiped walk` to a robot, gait, controller and scenario; what cannot be meant is refused."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,14 +21,15 @@ from jaxbiped.commands.choices import (
     make_gait,
 )
 from jaxbiped.commands.common import InputError, load_robot
-from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears
+from jaxbiped.planner import Gait
+from jaxbiped.sim.scenario import RANGES, Terrain, pad_under, require_swing_clears
 
 VARIANTS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
 REFLEX_VARIANTS = (ORIGINAL, MODIFIED)
 DEEPEST = RANGES["height_m"].low
-"""Of a hole [m]."""
+"""Smallest height of a pad, that of the deepest hole [m]."""
 TRACE_DT = 2e-3
-"""Between two samples of the trace [s]."""
+"""Time between two samples of the trace [s]."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Obstacle:
 
     step: int
     height: float
-    """[m]"""
+    """Height over the ground, negative for a hole [m]."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,9 @@ class Load:
     """A payload."""
 
     mass: float
-    """[kg]"""
+    """Mass [kg]."""
     time: float
-    """[s]"""
+    """When it is put on [s]."""
     end: float | None = None
     """When it is taken off [s]; None for one that stays."""
 
@@ -67,7 +68,7 @@ class Setup:
     """All that a walk needs."""
 
     robot: robot.RobotParams
-    gait: Any
+    gait: Gait
     obstacles: list[Obstacle]
     load: Load | None
     variants: Variants
@@ -75,7 +76,7 @@ class Setup:
     scenario: sim.Scenario
     options: sim.Options
     duration: float
-    """To be simulated [s]."""
+    """Time to be simulated [s]."""
 
     @property
     def gait_name(self) -> str:
@@ -128,7 +129,10 @@ def set_up(
     )
 
 
-def _number(argument: str, got: str, form: str, text: str, kind: type) -> Any:
+_Number = TypeVar("_Number", int, float)
+
+
+def _number(argument: str, got: str, form: str, text: str, kind: Callable[[str], _Number]) -> _Number:
     try:
         value = kind(text)
         finite = math.isfinite(value)
@@ -139,8 +143,8 @@ def _number(argument: str, got: str, form: str, text: str, kind: type) -> Any:
     return value
 
 
-def _obstacles(words: Iterable[str], gait: Any) -> list[Obstacle]:
-    """STEP:HEIGHT, each step once, at most as high as the swing foot goes."""
+def _obstacles(words: Iterable[str], gait: Gait) -> list[Obstacle]:
+    """Read obstacles, STEP:HEIGHT, each step once, at most as high as the swing foot goes."""
     form = "STEP:HEIGHT, a whole number and meters, such as 3:0.03 or 4:-0.02"
     last = gait.timing.n_steps - 1
     found: dict[int, Obstacle] = {}
@@ -148,9 +152,8 @@ def _obstacles(words: Iterable[str], gait: Any) -> list[Obstacle]:
         parts = word.split(":")
         if len(parts) != 2:
             raise InputError(f"--obstacle: got '{word}', allowed: {form}")
-        step, height = (
-            _number("--obstacle", word, form, t, k) for t, k in zip(parts, (int, float), strict=True)
-        )
+        step = _number("--obstacle", word, form, parts[0], int)
+        height = _number("--obstacle", word, form, parts[1], float)
         if not 0 <= step <= last:
             raise InputError(
                 f"--obstacle: got step {step} in '{word}', allowed: 0 to {last} with --steps {last + 1}"
@@ -168,8 +171,8 @@ def _obstacles(words: Iterable[str], gait: Any) -> list[Obstacle]:
     return list(found.values())
 
 
-def _load(words: Iterable[str], gait: Any, params: robot.RobotParams) -> Load | None:
-    """MASS@TIME, at most one."""
+def _load(words: Iterable[str], gait: Gait, params: robot.RobotParams) -> Load | None:
+    """Read the load, MASS@TIME, at most one."""
     form = "MASS@TIME, kilograms and seconds, such as 15@2.4"
     given = list(words)
     if not given:
@@ -193,7 +196,7 @@ def _load(words: Iterable[str], gait: Any, params: robot.RobotParams) -> Load | 
 
 
 def _of_file(
-    words: list[str], params: robot.RobotParams, gait: Any, allow_infeasible: bool
+    words: list[str], params: robot.RobotParams, gait: Gait, allow_infeasible: bool
 ) -> adapt.Controller | None:
     """The controller of a variant's file, with its own gait; None if the words name no file."""
     if not any(word.endswith(".toml") for word in words):
@@ -204,7 +207,10 @@ def _of_file(
 
 
 def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants:
-    """Without words: what the walk calls for. `repaired` stands for whichever stage no other word is for."""
+    """Choose the variants; without words, those the walk calls for.
+
+    `repaired` stands for whichever stage no other word is for.
+    """
     for word in words:
         if word not in VARIANTS:
             raise InputError(
@@ -227,7 +233,7 @@ def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants
     return Variants(PAPER if PAPER in words else otherwise, reflexes[0] if reflexes else otherwise)
 
 
-def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
+def _scenario(params: robot.RobotParams, gait: Gait, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
     scenario = sim.Scenario.flat(rectangles=max(8, len(pads))).with_friction(sim.own_friction(params, gait))
     for pad in pads:
         scenario = scenario.with_rectangle(*pad_under(params, gait, pad.step), pad.height)
@@ -239,8 +245,8 @@ def _scenario(params: robot.RobotParams, gait: Any, pads: list[Obstacle], load: 
     return scenario if load is None else scenario.with_payload(load.mass, load.time)
 
 
-def _refuse_overlaps(pads: list[Obstacle], terrain: Any) -> None:
-    """Heights of overlapping pads would add up to something nobody asked for."""
+def _refuse_overlaps(pads: list[Obstacle], terrain: Terrain) -> None:
+    """Refuse overlapping pads, whose heights would add up to something nobody asked for."""
     lower, upper = np.asarray(terrain.lower), np.asarray(terrain.upper)
     for i, a in enumerate(pads):
         for j, b in enumerate(pads[:i]):

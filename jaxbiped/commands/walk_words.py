@@ -1,4 +1,4 @@
-"""What `jaxbiped walk` prints, from the numbers of its JSON object."""
+"""Words that `jaxbiped walk` prints, from the numbers of its JSON object."""
 
 from typing import Any
 
@@ -14,12 +14,12 @@ REFLEX_WORDS = (
 
 
 def heading(robot: str, gait: str, steps: int) -> str:
-    """Which walk this is, in a title."""
+    """Title of a walk."""
     return f"{robot}, {gait} gait, {steps} {'step' if steps == 1 else 'steps'}"
 
 
 def lines(result: dict[str, Any]) -> list[str]:
-    """What happened, for a person."""
+    """Lines that tell a person what happened."""
     return [_what(result), *_plan(result), *_touches(result), *_reflexes(result), *_verdict(result)]
 
 

@@ -5,7 +5,7 @@ first asked for; `tables`, `quantities` and `traces` do without.
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jaxbiped.report.figures import feasibility_page, feet, feet_in_body, pelvis, save, zmp
@@ -61,7 +61,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """A figure, from its module."""
     if name not in _PLACE:
         raise AttributeError(f"module 'jaxbiped.report' has no attribute '{name}'")

@@ -37,7 +37,10 @@ def loss_curve(history: Sequence[Mapping[str, Any]], title: str) -> Figure:
 
 
 def value_curves(
-    history: Sequence[Mapping[str, Any]], names: Sequence[str], ranges: Any, title: str
+    history: Sequence[Mapping[str, Any]],
+    names: Sequence[str],
+    ranges: Sequence[tuple[float, float]],
+    title: str,
 ) -> Figure:
     """Every tunable over the steps, as a share of its range.
 
@@ -70,7 +73,12 @@ def value_curves(
 
 
 def sensitivity(
-    x: Any, derivatives: Any, secants: Any, names: Sequence[str], label: str, title: str
+    x: np.ndarray,
+    derivatives: np.ndarray,
+    secants: np.ndarray,
+    names: Sequence[str],
+    label: str,
+    title: str,
 ) -> Figure:
     """Derivatives of the loss of single walks over loading time or height, over the finite-difference secants.
 

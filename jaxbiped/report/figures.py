@@ -7,9 +7,9 @@ Figure. No pyplot: nothing global is touched.
 import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Array
 
 from jaxbiped import files
 from jaxbiped.planner import SINGLE_SUPPORT, Feasibility, Phase, TaskSpace
@@ -22,11 +22,13 @@ try:
 except ImportError as error:
     raise ImportError("figures need matplotlib: pip install 'jaxbiped[viz]'") from error
 
+Values = np.ndarray | Array
+"""Numbers over the samples of a walk, on the host or on a device."""
 DPI = 120
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 """Colors of Okabe and Ito (2008), which the color-blind can tell apart."""
 EVENT_COLORS = (PURPLE, GREEN, "#333333")
-"""Of marked times, kind by kind."""
+"""Colors of marked times, kind by kind."""
 SIDE_COLORS = (BLUE, ORANGE)
 SIDE_DASHES = ("-", (0, (5, 1.6)))
 INK, FAINT = "#333333", "#8a8a8a"
@@ -37,12 +39,12 @@ LEGEND_WIDTH = 122
 """Widest row of a legend, in letters; a handle counts as eight."""
 SHADE_LABEL = "single support (white: double)"
 _HALF_A_SAMPLE = 5e-3
-"""Around a time that has no neighbor [s]."""
+"""Half the width of a sample around a time that has no neighbor [s]."""
 _AXIS_WORDS = ("forward, x", "lateral (left), y", "up, z")
 
 
 def feet(
-    time: Any, task: TaskSpace, phase: Phase, title: str = "Feet", measured: TaskSpace | None = None
+    time: Values, task: TaskSpace, phase: Phase, title: str = "Feet", measured: TaskSpace | None = None
 ) -> Figure:
     """Draw both soles' x, y and z in the world over time (khadiv Fig. 6).
 
@@ -64,7 +66,7 @@ def feet(
 
 
 def feet_in_body(
-    time: Any,
+    time: Values,
     task: TaskSpace,
     phase: Phase,
     title: str = "Feet in the body frame",
@@ -86,7 +88,7 @@ def feet_in_body(
 
 
 def pelvis(
-    time: Any, task: TaskSpace, phase: Phase, title: str = "Pelvis", measured: TaskSpace | None = None
+    time: Values, task: TaskSpace, phase: Phase, title: str = "Pelvis", measured: TaskSpace | None = None
 ) -> Figure:
     """Draw the pelvis' x, y and z in the world over time (khadiv Fig. 7).
 
@@ -157,7 +159,7 @@ def feasibility_page(report: Feasibility, phase: Phase, title: str = "Feasibilit
 
 
 def panels_over_time(
-    rows: int, title: str, support: Any, time: Any, height: float, share_time: bool = True
+    rows: int, title: str, support: Values, time: Values, height: float, share_time: bool = True
 ) -> tuple[Sequence[Axes], Callable[[], Figure]]:
     """Panels over one another with a common time axis, single support shaded, and a call that finishes the figure.
 
@@ -209,7 +211,7 @@ def png(figure: Figure) -> bytes:
 
 
 def _panels(
-    rows: int, title: str, support: Any, time: Any, height: float = 7.2, share_time: bool = True
+    rows: int, title: str, support: Values, time: Values, height: float = 7.2, share_time: bool = True
 ) -> tuple[Figure, Sequence[Axes]]:
     """Panels over one another with a common time axis, single support shaded."""
     figure = Figure(figsize=(9.0, height), dpi=DPI, layout="constrained", facecolor="white")
@@ -243,7 +245,7 @@ def _shade_single_support(axes: Axes, edges: np.ndarray, support: np.ndarray) ->
         axes.axvspan(start, end, color=SINGLE_SUPPORT_SHADE, lw=0, zorder=0, label=label)
 
 
-def draw_feet(panels: Sequence[Axes], time: Any, sole: np.ndarray) -> None:
+def draw_feet(panels: Sequence[Axes], time: Values, sole: np.ndarray) -> None:
     """Draw x, y and z of both soles (n, 2, 3), a panel each [m]."""
     for axis, axes in enumerate(panels):
         for side, name in enumerate(SIDE_NAMES):
@@ -257,12 +259,18 @@ def draw_feet(panels: Sequence[Axes], time: Any, sole: np.ndarray) -> None:
         axes.set_ylabel(f"{_AXIS_WORDS[axis]} [m]")
 
 
-def _draw_measured(axes: Axes, time: Any, values: np.ndarray, label: str) -> None:
+def _draw_measured(axes: Axes, time: Values, values: np.ndarray, label: str) -> None:
     axes.plot(time, values, color=INK, lw=0.8, label=label)
 
 
 def _draw_worst(
-    axes: Axes, time: np.ndarray, values: np.ndarray, label: str, worst: Any, word: str, decimals: int
+    axes: Axes,
+    time: np.ndarray,
+    values: np.ndarray,
+    label: str,
+    worst: Callable[[np.ndarray], float],
+    word: str,
+    decimals: int,
 ) -> None:
     """A curve and a line at its worst value."""
     axes.plot(time, values, color=INK, label="_nolegend_")

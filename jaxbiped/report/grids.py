@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -33,11 +34,11 @@ _VARIANT_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK, "#E69F00")
 _VARIANT_MARKERS = "osDvXP"
 _VARIANT_DASHES = ("-", "--", ":", "-.")
 _LINE_WIDTH, _MARKER_SIZE = 1.2, 4.5
-"""Of the variant in front [pt]."""
+"""Line width and marker size of the variant in front [pt]."""
 _WIDER, _LARGER = 1.3, 3.5
-"""How much wider the line and larger the marker of every variant is than those of the next one before it [pt]."""
+"""Extra line width and marker size of every variant over those of the next one in front of it [pt]."""
 _MOST_WIDER, _MOST_LARGER = 6.5, 16.0
-"""Of the one behind all others, over the one in front [pt]."""
+"""Largest extra line width and marker size of the variant behind all others over the one in front [pt]."""
 _NOT_RUN_FILL = "#d9dce1"
 _SUCCESS = LinearSegmentedColormap.from_list("success", [ORANGE, "#f1eee8", BLUE])
 _AT_THE_EDGE = 0.03
@@ -45,7 +46,7 @@ _AT_THE_EDGE = 0.03
 _MOST_ROWS_NUMBERED = 16
 _TICK_STEPS = (1, 2, 4, 5, 10, 20, 50)
 _LETTERS_PER_INCH = 13.0
-"""Of tick labels that just fit."""
+"""Letters of tick labels that just fit into an inch."""
 
 
 def heat_map(
@@ -243,7 +244,7 @@ def _handle(marker: str, label: str) -> Line2D:
 
 
 def _variant_style(i: int, n: int) -> dict[str, Any]:
-    """Of the i-th of n variants: drawn over the one before it, narrower, so that both show where they coincide."""
+    """Style of the i-th of n variants: narrower than the one before it, so that both can be seen."""
     behind, steps = n - 1 - i, max(1, n - 1)
     return {
         "color": _VARIANT_COLORS[i % len(_VARIANT_COLORS)],
@@ -260,7 +261,7 @@ def _variant_handle(variant: str, i: int, n: int) -> Line2D:
     return Line2D([], [], label=variant, **_variant_style(i, n))
 
 
-def _legend_below(figure: Figure, handles: Sequence[Any]) -> None:
+def _legend_below(figure: Figure, handles: Sequence[Artist]) -> None:
     width = sum(len(str(handle.get_label())) + 8 for handle in handles)
     figure.legend(
         handles=list(handles),
@@ -283,7 +284,7 @@ def _parted(values: pl.Series) -> pl.Series:
 
 
 def _said_parted(values: pl.Series) -> str:
-    """What a label adds where values were put together to parts."""
+    """Words that a label adds where values were put together to parts."""
     return f", in {PARTS} parts" if values.n_unique() > MOST_VALUES else ""
 
 
@@ -307,8 +308,8 @@ class _Sides(NamedTuple):
 
     x: str
     y: str
-    across: Sequence[Any]
-    up: Sequence[Any]
+    across: Sequence[float | int]
+    up: Sequence[float | int]
 
 
 def _map_panels(n: int, sides: _Sides, title: str) -> tuple[Figure, Sequence[Axes], float]:
@@ -369,7 +370,7 @@ def _dress_map(axes: Axes, variant: str, sides: _Sides, width: float) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _tick_texts(values: Sequence[Any], column: str) -> list[str]:
+def _tick_texts(values: Sequence[float | int], column: str) -> list[str]:
     return [short(value, column) for value in values]
 
 
@@ -417,7 +418,7 @@ def _map_legend(figure: Figure, values: Iterable[np.ndarray], marked: bool) -> N
 
 
 def _draw_limit(axes: Axes, line: pl.DataFrame, what: str, by: str, style: Mapping[str, Any]) -> None:
-    """One variant's limit one way."""
+    """Draw one variant's limit in one direction."""
     places = shown(by).factor * line[by].cast(pl.Float64).to_numpy()
     limit = shown(what).factor * line[what].cast(pl.Float64).fill_null(math.nan).to_numpy()
     beyond, nothing = line["beyond"].to_numpy(), np.isnan(limit)
@@ -430,7 +431,7 @@ def _draw_limit(axes: Axes, line: pl.DataFrame, what: str, by: str, style: Mappi
 
 
 def _draw_limit_bars(axes: Axes, line: pl.DataFrame, what: str, by: str, style: Mapping[str, Any]) -> None:
-    """From where a limit is sure to reach to where it is sure not to."""
+    """Draw bars from where a limit is sure to reach to where it is sure not to."""
     line = line.filter(pl.col("low").is_not_null() | pl.col("high").is_not_null())
     bottom, top = axes.get_ylim()
     downward = (line["direction"] == summary.DOWN).to_numpy()

@@ -3,12 +3,13 @@
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -27,11 +28,11 @@ COLORS = ("tab:blue", "tab:red")
 PALETTE = 64
 """Colors of a frame."""
 LEAST_DEPTH = 0.15
-"""How far the view reaches below the deepest ground [m]."""
+"""Depth of the view below the deepest ground [m]."""
 SLIVER = 1e-3
 """Width up to which a strip of a band does not count [m]."""
 FAR = 1e3
-"""Beyond every view [m]."""
+"""A distance beyond every view [m]."""
 GROUND, GROUND_LINE = "0.7", "0.4"
 """Colors of the ground that all bands have in common, and of its surface."""
 GROUND_IN_PART = "0.85"
@@ -46,14 +47,14 @@ class Rectangles(NamedTuple):
     upper: np.ndarray
     """Largest x and y (n, 2) [m]."""
     height: np.ndarray
-    """Over the ground (n,) [m]."""
+    """Height over the ground (n,) [m]."""
 
 
 class Profile(NamedTuple):
     """The ground along an axis, in a band of the other one: between two edges it is level."""
 
     edges: np.ndarray
-    """Where it may change (k + 1,) [m]."""
+    """Places where the ground may change (k + 1,) [m]."""
     top: np.ndarray
     """Largest height in the band (k,) [m]."""
     bottom: np.ndarray
@@ -74,7 +75,7 @@ def skeleton(robot: RobotParams, qpos: Float[Array, "n nq"]) -> Float[Array, "n 
             ]
         )
 
-        def points(side: Any, angle: Float[Array, "6"]) -> Float[Array, "8 3"]:
+        def points(side: Int[Array, ""], angle: Float[Array, "6"]) -> Float[Array, "8 3"]:
             pose = leg.forward(robot, side, angle)
             corners = pose.p_pelvis_sole + robot.p_sole_corner[side] @ pose.rot_pelvis_sole.T
             joints = pose.p_pelvis_link[jnp.array([0, 3, 5])]
@@ -212,7 +213,7 @@ def _trunk_top(robot: RobotParams, qpos: np.ndarray) -> np.ndarray:
     return qpos[:, :3] + max(0.3, length) * axis
 
 
-def _draw(axes: Any, legs: np.ndarray, trunk: np.ndarray, top: np.ndarray, across: int) -> None:
+def _draw(axes: Axes, legs: np.ndarray, trunk: np.ndarray, top: np.ndarray, across: int) -> None:
     axes.plot([trunk[across], top[across]], [trunk[2], top[2]], color="0.25", lw=5, solid_capstyle="round")
     for points, color in zip(legs, COLORS, strict=True):
         axes.plot(points[:4, across], points[:4, 2], color=color, lw=3, marker="o", ms=4)
@@ -220,7 +221,7 @@ def _draw(axes: Any, legs: np.ndarray, trunk: np.ndarray, top: np.ndarray, acros
         axes.plot(sole[:, across], sole[:, 2], color=color, lw=2)
 
 
-def _draw_ground(axes: Any, seen: Sequence[Profile], floor: float) -> None:
+def _draw_ground(axes: Axes, seen: Sequence[Profile], floor: float) -> None:
     """The ground of one or two bands, with the same or with other edges, down to the edge of the view."""
     edges = np.unique(np.concatenate([one.edges for one in seen]))
     middles = 0.5 * (edges[1:] + edges[:-1])

@@ -5,7 +5,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,13 +17,13 @@ from jaxbiped.report import grids, quantities, tables
 from jaxbiped.report.page import Picture, Section
 
 THESIS_ROBOT = "elkahlout"
-"""The preset whose printed tables these are."""
+"""Preset of the robot of the thesis' printed tables."""
 THESIS = {"off": 1, "original": 2, "modified": 3}
-"""Which of the thesis' tables 4.1, 4.2, 4.3 a variant of the payload reflex answers to."""
+"""Number of the thesis' table 4.1, 4.2 or 4.3 that a variant of the payload reflex answers to."""
 FEW = 64
-"""Values of an input that make a grid; more are a random draw."""
+"""Most values of an input that make a grid; more are a random draw."""
 LISTED = 40
-"""Failures that are listed."""
+"""Most failures, limits or inputs that are listed."""
 SHOWN = (
     *("row", "variant", "status", "success", "end_time_s"),
     *("peak_roll_deg", "peak_pitch_deg", "zmp_margin_m"),
@@ -34,7 +33,7 @@ WENT_WRONG = {
     "airborne": "was airborne",
     "nonfinite": "came to numbers that are not finite",
 }
-"""What a status says of a walk that broke down, in words."""
+"""Words for the status of a walk that broke down."""
 COMMAND = "run it again"
 """Column of the commands that run a listed walk again."""
 
@@ -109,7 +108,7 @@ def _numbers_of_the_thesis() -> list[np.ndarray]:
 
 
 def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, tables.Agreement]:
-    """Of every variant that answers to a table of the thesis and has a walk: in how many cells both say the same."""
+    """Agreement with the thesis of every variant that answers to one of its tables and has a walk."""
     if not is_thesis_experiment(experiment):
         return {}
     start, walked = clock_start(experiment), summary.variants(table)
@@ -121,7 +120,7 @@ def agreements(experiment: Experiment, table: pl.DataFrame) -> dict[str, tables.
 
 
 def agreement_in_words(variant: str, one: tables.Agreement) -> str:
-    """One line; the first table is what the robot's assumed numbers were calibrated on."""
+    """An agreement as one line; the robot's assumed numbers were calibrated on the first table."""
     kind = "calibration" if THESIS[variant] == 1 else "grip chosen on it"
     which = f"Table 4.{THESIS[variant]} ({kind}), variant {variant}"
     if not one.compared:
@@ -174,7 +173,7 @@ def _in_common(table: pl.DataFrame, variant: str, against: str) -> bool:
 
 
 def _afterwards(table: pl.DataFrame) -> list[str]:
-    """How many walks met the rule and broke down later, in words: a line for each way of breaking down."""
+    """Lines on walks that met the rule and broke down later, one for each way of breaking down."""
     lines = []
     for status, words in WENT_WRONG.items():
         later = table.filter(pl.col("success") & (pl.col("status") == status))
@@ -195,7 +194,7 @@ def _walks(n: int) -> str:
 
 def _loads(experiment: Experiment, table: pl.DataFrame, start: float) -> Section:
     agreed = agreements(experiment, table)
-    marks: Mapping[str, Any] | None = None
+    marks: Mapping[str, pl.DataFrame] | None = None
     words, texts = ["Load by time of loading."], []
     for walks in table.partition_by("variant", maintain_order=True):
         variant = walks["variant"][0]

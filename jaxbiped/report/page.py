@@ -31,7 +31,7 @@ class Picture:
     figure: Figure | Path
     """A figure, or a PNG file of one."""
     caption: str
-    """Also read out where the figure cannot be seen."""
+    """Caption, also read out where the figure cannot be seen."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def _template() -> jinja2.Template:
 
 
 def _picture(picture: Picture) -> dict[str, Any]:
-    """What the template shows of a picture."""
+    """A picture as the template takes it."""
     content = _png(picture.figure)
     width, height = struct.unpack(">II", content[16:24])  # where every PNG file has its size
     data = base64.b64encode(content).decode("ascii")
@@ -99,7 +99,7 @@ def _png(figure: Figure | Path) -> bytes:
 
 
 def _table(table: pl.DataFrame | str) -> dict[str, Any] | str:
-    """What the template shows of a table: text as it is, a frame as the words of its cells."""
+    """A table as the template takes it: text as it is, a frame as the words of its cells."""
     if isinstance(table, str):
         return table
     names = table.columns

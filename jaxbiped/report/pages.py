@@ -1,7 +1,6 @@
-"""What is drawn of the results of an experiment, by the names of its pages."""
+"""Figures and pages of the results of an experiment, by the names of the pages."""
 
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -16,7 +15,7 @@ FILES = {
 """Files of every page."""
 
 
-def payload(table: pl.DataFrame, name: str, start: float) -> dict[str, Any]:
+def payload(table: pl.DataFrame, name: str, start: float) -> dict[str, figures.Figure]:
     """Success and pitch of every load at every time, on the gait's own clock.
 
     Args:
@@ -32,8 +31,8 @@ def payload(table: pl.DataFrame, name: str, start: float) -> dict[str, Any]:
     }
 
 
-def obstacles(table: pl.DataFrame, name: str, step: int) -> dict[str, Any]:
-    """What every variant does at every height under a step."""
+def obstacles(table: pl.DataFrame, name: str, step: int) -> dict[str, figures.Figure]:
+    """Success and foot force of every variant at every height under a step."""
     what = f"{name} over an unknown pad under step {step}"
     return {"obstacles": grids.cells_figure(table, height_column(step), what)}
 
@@ -61,7 +60,7 @@ def _payload(experiment: Experiment, table: pl.DataFrame, folder: Path) -> list[
 
 
 def _obstacles(experiment: Experiment, table: pl.DataFrame, folder: Path) -> list[str]:
-    """By the height under the first step that has a column; nothing if none has."""
+    """Draw obstacles by the height under the first step that has a column; nothing if none has."""
     steps = steps_of(table.columns)
     return _save(obstacles(table, experiment.robot.name, steps[0]), folder) if steps else []
 
@@ -69,5 +68,5 @@ def _obstacles(experiment: Experiment, table: pl.DataFrame, folder: Path) -> lis
 _WRITE = {"overview": _overview, "payload": _payload, "obstacles": _obstacles}
 
 
-def _save(drawn: dict[str, Any], folder: Path) -> list[str]:
+def _save(drawn: dict[str, figures.Figure], folder: Path) -> list[str]:
     return [str(figures.save(figure, folder / f"{name}.png")) for name, figure in drawn.items()]

@@ -1,8 +1,8 @@
-"""How the columns of a table of walks are shown to a person: their words and units, and values that are rounded."""
+"""Columns of a table of walks as a person sees them: their words and units, and values that are rounded."""
 
 import math
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxbiped.batch import NEVER
 
@@ -30,24 +30,24 @@ _UNITS = {
     **{"m_per_s": "m/s", "s_per_m": "s/m", "deg": "deg", "rad": "deg", "kg": "kg", "Ns": "N s", "N": "N"},
     **{"s": "s", "m": "mm", "bits": "bit", "scale": "-"},
 }
-"""What is shown in figures for the unit at the end of a column's name."""
+"""Units shown in figures, by the unit at the end of a column's name."""
 _DECIMALS = {
     **{"m_per_s": 4, "s_per_m": 2, "deg": 2, "rad": 4, "kg": 3, "Ns": 1, "N": 0, "s": 3, "m": 4},
     **{"bits": 3, "scale": 3},
 }
 """Decimals of a value in the unit at the end of its column's name: 0.1 mm, 0.01 degrees, 1 ms, 1 g, 1 N."""
 _DECIMALS_OF_COLUMNS = {"sinkage_m": 5, "force_noise_N": 1}
-"""Of inputs that are small by nature."""
+"""Decimals of inputs that are small by nature."""
 _DECIMALS_OF_RATIOS = 3
 
 
 class Shown(NamedTuple):
-    """How the values of a column are shown to a person."""
+    """Label and unit of a column as a person sees them."""
 
     label: str
     """Words and unit."""
     factor: float
-    """From the column's unit to the one shown."""
+    """Factor from the column's unit to the one shown."""
 
 
 def shown(column: str) -> Shown:
@@ -64,7 +64,7 @@ def unit_of(column: str) -> str:
     return next((unit for unit in _UNITS if column.endswith(f"_{unit}")), "")
 
 
-def text(value: Any, column: str = "") -> str:
+def text(value: object, column: str = "") -> str:
     """A value of a table, in the unit of its column and to a resolution that suits it.
 
     Ratios have three decimals. What is missing or not a number is a dash; infinity is a word.
@@ -84,7 +84,7 @@ def text(value: Any, column: str = "") -> str:
     return rounded(value, _decimals(column))
 
 
-def short(value: Any, column: str) -> str:
+def short(value: float | int | None, column: str) -> str:
     """A value as figures show it, in the unit of `shown` and without zeros at its end."""
     factor = shown(column).factor
     if value is None or (unit_of(column) == "s" and NEVER <= value < math.inf):
@@ -112,7 +112,7 @@ def rounded(value: float, decimals: int, strip: bool = False) -> str:
     return said if said.strip("-0.") else said.removeprefix("-")
 
 
-def with_unit(value: Any, column: str) -> str:
+def with_unit(value: float | int | None, column: str) -> str:
     """A value as figures show it, with its unit where it has one."""
     said, unit = short(value, column), shown(column).label.rpartition(" [")[2].removesuffix("]")
     number = any(letter.isdigit() for letter in said)

@@ -1,7 +1,6 @@
 """Figures of a walk with a payload: what was felt, what the reflex commanded, how the trunk pitched."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,9 +23,10 @@ from jaxbiped.report.figures import (
 from jaxbiped.report.quantities import rounded
 from jaxbiped.report.traces import Felt
 from jaxbiped.score import Recovery
+from jaxbiped.sim import Sample
 
 CLOSE = 0.25
-"""What is shown before a load and after its trigger, from close by [s]."""
+"""Time shown before a load and after its trigger, from close by [s]."""
 LOAD, TRIGGER, STAGES = "load", "trigger", "settled, shifted, recovered, walks on"
 """Events of a walk with a payload, in the order of their styles."""
 
@@ -43,7 +43,7 @@ def payload_events(
     }
 
 
-def references(trace: Any, events: dict[str, list[float]], title: str) -> Figure:
+def references(trace: Sample, events: dict[str, list[float]], title: str) -> Figure:
     """Draw the commanded feet in the body frame over the whole walk (elkahlout Figs. 3.9 and 4.3).
 
     Args:
@@ -54,7 +54,7 @@ def references(trace: Any, events: dict[str, list[float]], title: str) -> Figure
     return feet_in_body(trace.time, trace.targets.position, trace.targets.phase, title, events)
 
 
-def pitch(trace: Any, events: dict[str, list[float]], title: str) -> Figure:
+def pitch(trace: Sample, events: dict[str, list[float]], title: str) -> Figure:
     """Draw the trunk's pitch, the thesis' angle beta (elkahlout Figs. 4.2 and 4.4).
 
     Args:
@@ -72,7 +72,7 @@ def pitch(trace: Any, events: dict[str, list[float]], title: str) -> Figure:
 
 
 def force_and_trigger(
-    trace: Any, felt: Felt, params: PayloadReflex, events: dict[str, list[float]], title: str
+    trace: Sample, felt: Felt, params: PayloadReflex, events: dict[str, list[float]], title: str
 ) -> Figure:
     """Draw the summed foot force, its low-pass and the band that triggers the reflex (elkahlout Fig. 3.3).
 
@@ -103,7 +103,7 @@ def force_and_trigger(
     return finish()
 
 
-def settling_zmp(trace: Any, felt: Felt, params: PayloadReflex, recovery: Recovery, title: str) -> Figure:
+def settling_zmp(trace: Sample, felt: Felt, params: PayloadReflex, recovery: Recovery, title: str) -> Figure:
     """Draw the ZMP in the body frame while the robot settles, and its low-pass (elkahlout Fig. 4.12).
 
     Args:
@@ -132,7 +132,7 @@ def settling_zmp(trace: Any, felt: Felt, params: PayloadReflex, recovery: Recove
     return finish()
 
 
-def reflex_close_ups(trace: Any, recovery: Recovery, title: str) -> Figure:
+def reflex_close_ups(trace: Sample, recovery: Recovery, title: str) -> Figure:
     """Draw reflex, shift of x_ref and recovery of the step size from close by (elkahlout Figs. 3.5, 3.7, 3.8).
 
     Args:

@@ -18,23 +18,23 @@ THESIS_TABLES = {
     2: "Table 4.2, original reflex (the grip was chosen on it)",
     3: "Table 4.3, modified reflex (the grip was chosen on it)",
 }
-"""What elkahlout's tables are, and what each is here: the robot was fitted to the first, the others test it."""
+"""Titles of elkahlout's tables with their use here: the robot was fitted to the first, the others test it."""
 TICK, CROSS, NOT_RUN, DIFFERS = "✓", "✗", "·", "*"
 """Marks in tables of text."""
 Cell = tuple[int, int]
 """A time and a load, in whole ms and g."""
 _WIDTH = 6
-"""Of a column of text, in letters."""
+"""Width of a column of text, in letters."""
 
 
 class Agreement(NamedTuple):
-    """How many cells of a printed table come out the same here."""
+    """Agreement of the cells of a printed table with ours."""
 
     agree: int
     compared: int
     """Cells that are both printed and walked."""
     by_load: pl.DataFrame
-    """The same for every load: columns load_kg, agree, compared."""
+    """Agreement for every load: columns load_kg, agree, compared."""
 
 
 def thesis_table(number: int) -> pl.DataFrame:
@@ -140,7 +140,7 @@ def agreement(walks: pl.DataFrame, number: int, offset_s: float) -> Agreement:
 
 
 def milli(value: float) -> int:
-    """Whole thousandths."""
+    """Round a value to whole thousandths."""
     return round(1e3 * value)
 
 

@@ -1,6 +1,4 @@
-"""What a figure needs of a trace and the trace does not say outright: plan, commanded ZMP, filtered readings."""
-
-from typing import Any
+"""Numbers for figures that a trace does not hold outright: plan, commanded ZMP, filtered readings."""
 
 import equinox as eqx
 import jax
@@ -15,25 +13,26 @@ from jaxbiped.planner import PLANNED_STEP, RECOVERY_STEP, REFLEX_STEP, Targets, 
 from jaxbiped.planner.feasibility import motion_of, zmp_of
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import walked_rows
+from jaxbiped.sim import Sample
 
 
-def thin(trace: Any, every: int) -> Any:
+def thin(trace: Sample, every: int) -> Sample:
     """Every so many-th sample of a trace, up to its end or the fall."""
     rows = slice(0, walked_rows(np.asarray(trace.time)), every)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], trace)
 
 
-def measured_task(trace: Any) -> TaskSpace:
-    """Where soles and pelvis were, with a leading axis."""
+def measured_task(trace: Sample) -> TaskSpace:
+    """Measured places of soles and pelvis, with a leading axis."""
     return _task_spaces(trace.p_world_sole, trace.p_world_trunk)
 
 
-def _task_spaces(sole: Any, pelvis: Any) -> TaskSpace:
+def _task_spaces(sole: np.ndarray | Array, pelvis: np.ndarray | Array) -> TaskSpace:
     return jax.vmap(TaskSpace)(jnp.asarray(sole), jnp.asarray(pelvis))
 
 
 class Commanded(eqx.Module):
-    """What the commands of a trace ask of the ground; with a leading axis."""
+    """Demands on the ground by the commands of a trace; with a leading axis."""
 
     zmp: Float[Array, "*n 2"]
     """Zero moment point of the commanded motion, world x and y [m]."""
@@ -44,11 +43,11 @@ class Commanded(eqx.Module):
 
 
 @runtime.jit
-def commanded(robot: RobotParams, trace: Any) -> Commanded:
+def commanded(robot: RobotParams, trace: Sample) -> Commanded:
     """ZMP and support of the commanded motion at every sample of a trace; where no stage acts, those of the plan."""
 
-    def one(targets: Targets, time: Any) -> Commanded:
-        def task(t: Any) -> TaskSpace:
+    def one(targets: Targets, time: Float[Array, ""]) -> Commanded:
+        def task(t: Float[Array, ""]) -> TaskSpace:
             dt, orders = t - time, (targets.position, targets.velocity, targets.acceleration)
             return jax.tree.map(lambda p, v, a: p + dt * (v + 0.5 * dt * a), *orders)
 
@@ -59,7 +58,7 @@ def commanded(robot: RobotParams, trace: Any) -> Commanded:
     return jax.vmap(one)(jax.tree.map(jnp.asarray, trace.targets), jnp.asarray(trace.time))
 
 
-def nominal(plan: TaskSpace, trace: Any, world_shift: float = 0.0, x_shift: float = 0.0) -> TaskSpace:
+def nominal(plan: TaskSpace, trace: Sample, world_shift: float = 0.0, x_shift: float = 0.0) -> TaskSpace:
     """The plan where the robot was walking it; not a number during reflex and recovery.
 
     A reflex leaves the walk elsewhere than planned. Where it went on is known of the last reflex only; between two of
@@ -83,21 +82,21 @@ def nominal(plan: TaskSpace, trace: Any, world_shift: float = 0.0, x_shift: floa
 
 
 class Felt(eqx.Module):
-    """What the payload stage makes of the sensors, reckoned anew from the samples of a trace."""
+    """Filtered readings of the payload stage, computed anew from the samples of a trace."""
 
     force: np.ndarray
     """Summed vertical foot force [N]."""
     low_passed: np.ndarray
-    """The same, low-passed (elkahlout Eq. 3.7) [N]."""
+    """Summed vertical foot force, low-passed (elkahlout Eq. 3.7) [N]."""
     weight: np.ndarray
     """The low-passed force that is taken for normal [N]."""
     zmp: np.ndarray
     """ZMP forward of the pelvis [m]."""
     zmp_low_passed: np.ndarray
-    """The same, low-passed (elkahlout Eq. 3.18) [m]."""
+    """ZMP forward of the pelvis, low-passed (elkahlout Eq. 3.18) [m]."""
 
 
-def felt(trace: Any, params: PayloadReflex) -> Felt:
+def felt(trace: Sample, params: PayloadReflex) -> Felt:
     """Filter foot force and ZMP of a trace with the time constants of the payload stage.
 
     The controller filters at every tick and the trace has fewer samples, so short peaks count a little otherwise.
@@ -117,7 +116,7 @@ def felt(trace: Any, params: PayloadReflex) -> Felt:
 
 
 def _low_pass(time: np.ndarray, values: np.ndarray, time_constant: float) -> np.ndarray:
-    """First order; the first value is taken as it is."""
+    """First-order low-pass; the first value is taken as it is."""
     share = 1.0 - np.exp(-np.diff(time) / time_constant)
     filtered = values.copy()
     for i in range(1, len(values)):

@@ -1,11 +1,11 @@
 """Figures of simulated walks, laid over each other: trunk tilt, foot forces, measured ZMP, what adaptation did."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxbiped.planner import Feasibility, TaskSpace
 from jaxbiped.report.figures import (
     BLUE,
     FAINT,
@@ -18,8 +18,10 @@ from jaxbiped.report.figures import (
     mark_events,
     panels_over_time,
 )
+from jaxbiped.report.traces import Commanded
 from jaxbiped.robot import SIDE_NAMES
 from jaxbiped.score import touches, walked_rows
+from jaxbiped.sim import Sample
 
 TOUCH_LABEL = "touch"
 LEAST_SHOWN = 1.0
@@ -28,7 +30,7 @@ LINE_COLORS = (BLUE, ORANGE, GREEN, PURPLE, INK)
 
 
 def tilt_and_forces(
-    walks: Mapping[str, Any],
+    walks: Mapping[str, Sample],
     title: str,
     until: float | None = None,
     events: Mapping[str, Sequence[float]] | None = None,
@@ -60,7 +62,7 @@ def tilt_and_forces(
     return finish()
 
 
-def measured_zmp(trace: Any, plan: Any, title: str) -> Figure:
+def measured_zmp(trace: Sample, plan: Feasibility | Commanded, title: str) -> Figure:
     """Draw the measured center of pressure over the plan's ZMP and support, forward and lateral.
 
     Args:
@@ -84,7 +86,7 @@ def measured_zmp(trace: Any, plan: Any, title: str) -> Figure:
     return finish()
 
 
-def modifications(trace: Any, nominal: Any, title: str) -> Figure:
+def modifications(trace: Sample, nominal: TaskSpace, title: str) -> Figure:
     """Draw what adaptation added to the plan (khadiv Fig. 11): feet forward and up, pelvis up; dots are touches.
 
     Args:
@@ -121,12 +123,12 @@ def modifications(trace: Any, nominal: Any, title: str) -> Figure:
     return finish()
 
 
-def _shown(trace: Any, until: float | None) -> np.ndarray:
+def _shown(trace: Sample, until: float | None) -> np.ndarray:
     time = np.asarray(trace.time)
     return time <= (np.inf if until is None else until)
 
 
-def _walking(trace: Any) -> np.ndarray:
+def _walking(trace: Sample) -> np.ndarray:
     """Rows before a lane froze: time stands still in a fallen one."""
     time = np.asarray(trace.time)
     return np.arange(len(time)) < walked_rows(time)

@@ -1,4 +1,4 @@
-"""What became of a walk: the papers' own verdicts, margins, and the touches and reflexes in a trace."""
+"""Scores of a walk: the papers' own verdicts, margins, and the touches and reflexes in a trace."""
 
 from jaxbiped.score.loss import Loss, WalkLoss
 from jaxbiped.score.recoveries import Recovery, recoveries

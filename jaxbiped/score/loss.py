@@ -1,4 +1,4 @@
-"""What a walk costs, smooth in the numbers of its controller: for tuning by gradients.
+"""Losses: the cost of a walk, smooth in the numbers of its controller, for tuning by gradients.
 
 A loss integrates rates over a walk and makes one number of the integrals and of the walk's last state. Rates have to be
 continuous in time: a rate that jumps at an event gives a derivative that misses the shift of the event. Nor may they
@@ -25,7 +25,7 @@ Scalar = Float[Array, ""]
 
 @runtime_checkable
 class Loss(Protocol):
-    """What a loss has to have; anyone can write one."""
+    """Interface of a loss; anyone can write one."""
 
     def rate(self, robot: RobotParams, sample: sim.Sample, upright: Bool[Array, ""]) -> Float[Array, " m"]:
         """Rates to be integrated over the walk [1/s], from one sample and whether the robot has not failed so far."""
@@ -40,24 +40,24 @@ class WalkLoss(eqx.Module):
     """Tilt, lean, touchdown force and impulse, slip, ZMP margin and delay, each over what is usual, with its weight."""
 
     tilt: float = 1.0
-    """Of the mean squared roll and pitch over (2 deg)2."""
+    """Weight of the mean squared roll and pitch over (2 deg)2."""
     lean: float = 5.0
-    """Of the mean square of the tilt over 10 deg, in units of 10 deg: what pulls walks back that are about to fall."""
+    """Weight of the mean squared tilt beyond 10 deg, in units of 10 deg; pulls back walks about to fall."""
     force: float = 1.0
-    """Of the low-passed touchdown force over the weight: the fourth mean over 10 ms, near its peak."""
+    """Weight of the low-passed touchdown force beyond the robot's weight, as a fourth mean over 10 ms."""
     impulse: float = 5.0
-    """Of the integral of that force [s]."""
+    """Weight of the integral of that force [s]."""
     slip: float = 0.1
-    """Of the slips of both feet [cm]."""
+    """Weight of the slips of both feet [cm]."""
     margin: float = 1.0
-    """Of the mean squared shortfall of the centres of pressure from 20 mm inside the soles."""
+    """Weight of the mean squared shortfall of the centers of pressure from 20 mm inside the soles."""
     delay: float = 0.05
-    """Of the time for which the plan stood still [s]."""
+    """Weight of the time for which the plan stood still [s]."""
     bound: float = 5.0
-    """What a walk costs at most, see `bounded`."""
+    """Largest cost of a walk, see `bounded`."""
 
     def rate(self, robot: RobotParams, sample: sim.Sample, upright: Bool[Array, ""]) -> Float[Array, " m"]:
-        """See `Loss`."""
+        """Rates to be integrated over the walk, see `Loss.rate`."""
         tilt = sample.roll_pitch_yaw[:2]
         over = jnp.clip(jnp.max(jnp.abs(tilt)), 0.0, FALL_TILT) - _LEAN
         weight = robot.total_mass * GRAVITY
@@ -77,7 +77,7 @@ class WalkLoss(eqx.Module):
         return jnp.concatenate([jnp.where(upright, masked, 0.0), (lean[None] / _LEAN) ** 2])
 
     def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: float) -> Scalar:
-        """See `Loss`."""
+        """The loss of a walk, see `Loss.total`."""
         tilt, force, impulse, margin, lean = integral
         cost = (
             self.tilt * tilt / duration
@@ -92,21 +92,21 @@ class WalkLoss(eqx.Module):
 
 
 def bounded(cost: Scalar, bound: float) -> Scalar:
-    """Half the bound where the cost is the bound; nearly the cost itself where that is small."""
+    """Bound a cost smoothly: half the bound where it equals that, nearly itself where it is small."""
     return cost / (1.0 + cost / bound)
 
 
 _TILT, _LEAN = math.radians(2.0), math.radians(10.0)
 _TOUCH = 0.01
-"""[s]"""
+"""Time over which the excess of the touchdown force is averaged [s]."""
 _MARGIN = 0.02
-"""[m]"""
+"""Distance from the edge of a sole below which the center of pressure costs something [m]."""
 
 
 def _pressure_margin(
     robot: RobotParams, corner_force: Float[Array, "2 4"]
 ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Share of the weight on each foot, and how far its centre of pressure is inside its sole [m]; no jumps.
+    """Share of the weight on each foot, and how far its center of pressure is inside its sole [m]; no jumps.
 
     A corner that is drawn down, as by an edge it rubs along, counts for nothing.
     """
@@ -120,7 +120,7 @@ def _pressure_margin(
 
 
 def _delay(walk: sim.Walk) -> Scalar:
-    """For how long the plan stood still [s]."""
+    """Time for which the plan stood still [s]."""
     controller = walk.controller
     if controller is None:
         return jnp.zeros_like(walk.statistics.end_time)

@@ -27,7 +27,7 @@ class Recovery:
     resumed: float | None
     """The plan goes on."""
     x_shift: float | None
-    """By how much x_ref has shifted: forward with the feet in the body frame, so the body goes backward [m]."""
+    """Shift of x_ref: forward with the feet in the body frame, so the body goes backward [m]."""
 
 
 def recoveries(trace: Sample, params: PayloadReflex) -> list[Recovery]:
@@ -68,7 +68,7 @@ def _one(trace: Sample, params: PayloadReflex, spans: list[tuple[int, int]], i: 
 
 
 def _shift(trace: Sample, settled: float | None, shifted: float | None) -> float | None:
-    """How far the commanded feet moved forward in the body frame."""
+    """Distance by which the commanded feet moved forward in the body frame [m]."""
     if settled is None or shifted is None:
         return None
     position = trace.targets.position

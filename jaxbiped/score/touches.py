@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -22,13 +21,13 @@ class Touch:
     foot: str
     """left or right."""
     kind: str
-    """Of the step: planned, reflex or recovery."""
+    """Kind of the step: planned, reflex or recovery."""
     time: float
-    """[s]"""
+    """Time of the touch [s]."""
     row: int
-    """Of the trace."""
+    """Row of the trace with the touch."""
     end_row: int
-    """The last one of this step in the trace."""
+    """Last row of this step in the trace."""
     late: float
     """Time since the planned end of single support, negative before it (advance landing) [s]."""
 
@@ -72,7 +71,15 @@ def step_rows(step: np.ndarray, kind: np.ndarray) -> list[tuple[int, int]]:
     return list(itertools.pairwise(edges))
 
 
-def _touch(row: int, end_row: int, step: Any, kind: Any, swing: Any, time: Any, late: Any) -> Touch:
+def _touch(
+    row: int,
+    end_row: int,
+    step: np.ndarray,
+    kind: np.ndarray,
+    swing: np.ndarray,
+    time: np.ndarray,
+    late: np.ndarray,
+) -> Touch:
     return Touch(
         step=int(step[row]),
         foot=SIDE_NAMES[int(swing[row])],

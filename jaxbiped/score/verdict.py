@@ -1,4 +1,4 @@
-"""Whether a walk succeeded, by the rules of the two papers.
+"""Verdicts: whether a walk succeeded, by the rules of the two papers.
 
 khadiv: the robot finishes its walk without a fall.
 elkahlout (section 4.2): the robot does not fall in the step in which it is loaded, and completes two whole steps after
@@ -9,8 +9,6 @@ A load that is carried from the start (time 0) is own weight: putting it on is n
 A step is a single support and the double support after it. Rules are met in the time of the plan, which stands still
 while a reflex lasts: a robot that falls later than that has succeeded all the same, and its status says that it fell.
 """
-
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -30,31 +28,31 @@ STATUS_TEXT = (*sim.STATUS_TEXT, "unfinished")
 WHOLE_STEPS = 2
 """Steps to be completed after a recovery."""
 STANDS_FOR = 0.5
-"""For how long a robot is watched after its walk [s]."""
+"""Time for which a robot is watched after its walk [s]."""
 _SLACK = 5e-3
-"""How much earlier than due is in time: no control tick is longer [s]."""
+"""Time by which the plan may end early and still be in time: no control tick is longer [s]."""
 
 
 class Verdict(eqx.Module):
-    """What is said of one walk."""
+    """The verdict on one walk."""
 
     success: Bool[Array, ""]
     """Whether the robot met the rule that applies: elkahlout's after a sudden change of weight, else khadiv's."""
     finished: Bool[Array, ""]
-    """Whether it met khadiv's rule."""
+    """Whether the robot met khadiv's rule."""
     status: Int[Array, ""]
     """Number in STATUS_TEXT, what the robot did over the whole walk: fell, nonfinite or airborne, at any time, even
     after a success; else `ok`, or `unfinished` if simulated time or plan ended before the rule was met."""
     until: Scalar
-    """How long it had to stand [s]; infinite if it did not get as far as to walk on."""
+    """Time until which the robot had to stand [s]; infinite if it did not get as far as to walk on."""
     tilt_margin: Scalar
-    """How much further the trunk could have tilted before it counted as a fall, in all the time simulated [rad]."""
+    """Least tilt of the trunk that was left before a fall, over all the time simulated [rad]."""
     out_of_reach_time: Scalar
-    """For how long the targets were beyond the legs' reach or joint ranges [s]."""
+    """Time for which the targets were beyond the legs' reach or joint ranges [s]."""
 
 
 def watch_time(controller: Controller, changes: int) -> float:
-    """How long a walk is to be simulated for its verdict [s].
+    """Time for which a walk is to be simulated for its verdict [s].
 
     Args:
         controller: with the gait and the stages of the walk.
@@ -109,7 +107,7 @@ def _progress(controller: ControllerState | None, end_time: Scalar) -> tuple[Sca
 
 
 def _first_whole_step(
-    controller: ControllerState | None, gait: Gait, change_time: Scalar, delay: Any
+    controller: ControllerState | None, gait: Gait, change_time: Scalar, delay: Scalar
 ) -> Int[Array, ""]:
     """Number of the first step that begins after the recovery and after the step in which the weight changed."""
     timing = gait.timing

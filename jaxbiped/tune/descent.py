@@ -18,23 +18,24 @@ import numpy as np
 from jaxbiped import batch, files
 from jaxbiped.batch import records, store
 from jaxbiped.checked import Quantity, whole
+from jaxbiped.score import Loss
 from jaxbiped.tune import gradient, trust
 from jaxbiped.tune.gradient import Problem
 
 EDGE = 1e-3
-"""How near to a bound a start may be, as a share of the range."""
+"""Least distance of a start from a bound, as a share of the range."""
 STATE = "tune.json"
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How to descend."""
+    """Settings of a descent."""
 
     steps: int = 40
     scenarios: int = 16
-    """In a step."""
+    """Scenarios in a step."""
     rate: float = 0.15
-    """Largest change in a step, of the unconstrained variable."""
+    """Largest change of the unconstrained variables in a step."""
     trust_every: int = 20
     """Steps between trust reports."""
     held_out_every: int = 5
@@ -42,9 +43,9 @@ class Settings:
     patience: int = 4
     """Looks without a smaller held-out loss before it stops."""
     sigma: float = 0.03
-    """Of the smoothing, as a share of each range."""
+    """Width of the smoothing, as a share of each range."""
     pairs: int = 2
-    """Of the smoothing, for each scenario."""
+    """Pairs of points of the smoothing for each scenario."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -58,7 +59,7 @@ class Settings:
 
 @dataclass
 class Descent:
-    """Where a descent is."""
+    """State of a descent."""
 
     step: int = 0
     z: list[float] = field(default_factory=list)
@@ -68,9 +69,9 @@ class Descent:
     second: list[float] = field(default_factory=list)
     """Second moments of Adam."""
     by: list[str] = field(default_factory=list)
-    """What each tunable is descended by, as the last report has it."""
+    """Gradient by which each tunable is descended, as in the last trust report."""
     widths: list[float] = field(default_factory=list)
-    """Of the wide central differences, as the last report has them."""
+    """Widths of the wide central differences, as in the last trust report."""
     best: dict[str, Any] = field(default_factory=dict)
     """Values with the smallest held-out loss, and what it was."""
     history: list[dict[str, Any]] = field(default_factory=list)
@@ -78,21 +79,21 @@ class Descent:
     reports: list[dict[str, Any]] = field(default_factory=list)
     """Trust reports, with their step."""
     finished: str = ""
-    """Why it ended."""
+    """Reason why the descent ended; empty while it goes on."""
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What came of it."""
+    """Result of a descent."""
 
     problem: Problem
     settings: Settings
     values: np.ndarray
-    """Of the tunables, with the smallest held-out loss (k,)."""
+    """Values of the tunables with the smallest held-out loss (k,)."""
     before: dict[str, float]
     """Held-out loss and success at the start."""
     after: dict[str, float]
-    """The same at `values`."""
+    """Held-out loss and success at `values`."""
     descent: Descent
 
 
@@ -202,7 +203,7 @@ def to_values(problem: Problem, z: np.ndarray) -> np.ndarray:
 
 
 def to_unconstrained(problem: Problem, at: np.ndarray) -> np.ndarray:
-    """The inverse; values on a bound are moved a little into the range."""
+    """Undo `to_values`; values on a bound are moved a little into the range."""
     low, high = _bounds(problem)
     share = np.clip((at - low) / (high - low), EDGE, 1.0 - EDGE)
     return np.log(share / (1.0 - share))
@@ -231,7 +232,7 @@ def _line(entry: dict[str, Any]) -> str:
 
 
 def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
-    """Of what decides a descent."""
+    """Hash of all that decides a descent."""
     what = {
         "experiments": [p.experiment.resolved for p in (problem, judge)],
         "tunables": [asdict(t) for t in problem.tunables],
@@ -243,8 +244,8 @@ def _key(problem: Problem, judge: Problem, settings: Settings) -> str:
     return records.digest(what)
 
 
-def _name(loss: Any) -> str:
-    """Of a loss: its class, and its fields if it shows them."""
+def _name(loss: Loss) -> str:
+    """Name of a loss: its class, and its fields if it shows them."""
     shown = "" if type(loss).__repr__ is object.__repr__ else repr(loss)
     return f"{type(loss).__module__}.{type(loss).__qualname__} {shown}"
 

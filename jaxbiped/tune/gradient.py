@@ -7,11 +7,11 @@ scenarios and seeds, and antithetic Gaussian smoothing, which also sees what hap
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -24,14 +24,18 @@ from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
 from jaxbiped.score import Loss, WalkLoss, judge
 
+Numbers = np.ndarray | Array | Sequence[float | int]
+"""Values as a caller may give them."""
+R = TypeVar("R")
+
 LANES = 64
 """Most walks in one call; as many calls are made at once as XLA has threads."""
 SAMPLES = 8
-"""Of the tangents' growth, over the walk."""
+"""Samples of the tangents' growth over a walk."""
 WIDE_TICKS = 5
 """Control ticks over which wide central differences let an event move, at least."""
 WIDE_SHARE, WIDEST_SHARE = 2e-3, 1e-2
-"""Of a range: how wide they are at least, and at most for what moves the start of a reflex."""
+"""Least width of wide differences, and the most for what moves a reflex's start, as shares of a range."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +46,13 @@ class Gradient:
     at: np.ndarray
     """Values of the tunables (k,)."""
     losses: np.ndarray
-    """Of every scenario (n,)."""
+    """Loss of every scenario (n,)."""
     by_scenario: np.ndarray
     """Derivatives of the losses (n, k), per unit of the tunable."""
     status: np.ndarray
     """Number in `sim.STATUS_TEXT` of every walk (n,)."""
     success: np.ndarray
-    """By the papers' rules (n,)."""
+    """Whether each walk succeeded by the papers' rules (n,)."""
     seconds: float
     """Wall time, compiling included."""
     growth_time: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -66,7 +70,7 @@ class Gradient:
 
     @property
     def gradient(self) -> np.ndarray:
-        """Of the mean loss (k,); derivatives that are not finite are left out."""
+        """Gradient of the mean loss (k,); derivatives that are not finite are left out."""
         return np.nan_to_num(np.nanmean(np.where(self.finite[:, None], self.by_scenario, np.nan), axis=0))
 
     @property
@@ -77,13 +81,13 @@ class Gradient:
 
 @dataclass(frozen=True)
 class Problem:
-    """Whose loss is asked for: a variant of an experiment, its tunables, a loss."""
+    """A variant of an experiment, its tunables, and the loss that is asked for."""
 
     experiment: batch.Experiment
     tunables: tuple[Tunable, ...]
-    loss: Any
+    loss: Loss
     variant: str
-    compiled: set[Any] = field(default_factory=set, repr=False, compare=False)
+    compiled: set[object] = field(default_factory=set, repr=False, compare=False)
     """Functions that have been called, and for how many walks."""
 
     @classmethod
@@ -107,7 +111,7 @@ class Problem:
 
     @property
     def controller(self) -> Controller:
-        """The variant."""
+        """Controller of the variant."""
         return self.experiment.variants[self.variant]
 
     @property
@@ -117,12 +121,12 @@ class Problem:
 
     @property
     def duration(self) -> float:
-        """How long is simulated [s]."""
+        """Simulated time of every walk [s]."""
         return self.experiment.durations[self.variant]
 
     @cached_property
     def setting(self) -> "_Setting":
-        """What the compiled functions need."""
+        """Everything that the compiled functions need."""
         one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
         experiment, options = self.experiment, self.experiment.simulation
         every = max(1, round(self.duration / options.control_dt) // SAMPLES)
@@ -136,15 +140,17 @@ class Problem:
 
 
 class _Setting(eqx.Module):
-    """One walk but for its scenario and the values of the tunables."""
+    """A walk without its scenario and the values of the tunables."""
 
     simulation: sim.Simulation
-    """With the variant's own values."""
-    loss: Any
+    """Simulation with the variant's own values."""
+    loss: Loss
     tunables: tuple[Tunable, ...] = eqx.field(static=True)
     duration: float = eqx.field(static=True)
 
-    def walk(self, at: Float[Array, " k"], scenario: sim.Scenario) -> tuple[Any, dict[str, Array]]:
+    def walk(
+        self, at: Float[Array, " k"], scenario: sim.Scenario
+    ) -> tuple[tuple[Array, Array, Array], dict[str, Array]]:
         """Walk once: (loss, poses, start of the last reflex), to be differentiated, and what became of the walk."""
         robot = self.simulation.robot
         controller = tunables.apply(robot, self.simulation.controller, self.tunables, at)
@@ -168,7 +174,7 @@ def _trigger(walk: sim.Walk) -> Float[Array, ""]:
 
 
 def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
-    """Trunk and soles [m, rad]."""
+    """Poses of trunk and soles [m, rad]."""
     soles = trace.p_world_sole.reshape(-1, 6)
     return jnp.concatenate([trace.p_world_trunk, trace.roll_pitch_yaw, soles], axis=-1)
 
@@ -204,10 +210,10 @@ def walk_values(
 def value_and_grad(
     experiment: batch.Experiment,
     names: Sequence[str],
-    at: Any = None,
+    at: Numbers | None = None,
     loss: Loss | None = None,
     variant: str | None = None,
-    rows: Any = None,
+    rows: Numbers | None = None,
 ) -> Gradient:
     """Losses and derivatives by forward mode.
 
@@ -234,7 +240,7 @@ def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     return dataclasses.replace(made, growth_time=became["time"][0], growth=growth, trigger_slope=trigger)
 
 
-def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = None) -> Gradient:
+def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Numbers | None = None) -> Gradient:
     """Central differences over the same scenarios; half of their `widths` (k,) to each side, see `default_widths`."""
     began, n, k = time.perf_counter(), len(rows), len(problem.tunables)
     width = 0.5 * (default_widths(problem) if widths is None else np.asarray(widths, float))
@@ -245,13 +251,13 @@ def central(problem: Problem, at: np.ndarray, rows: np.ndarray, widths: Any = No
 
 
 def default_widths(problem: Problem) -> np.ndarray:
-    """Of central differences (k,): 2e-5 of each range in float64, 2e-3 in float32, whose noise is that much larger."""
+    """Widths of central differences (k,): 2e-5 of each range in float64, 2e-3 in noisier float32."""
     share = 2e-5 if jnp.result_type(float) == jnp.float64 else 2e-3
     return share * _ranges(problem)
 
 
 def tick_widths(problem: Problem, found: Gradient) -> np.ndarray:
-    """By how much each tunable moves what it moves by one control tick (k,).
+    """Change of each tunable that moves its event by one control tick (k,).
 
     A time moves its event one to one. What moves the start of a reflex does so by its derivative: the median one of the
     walks that `found` has it of. For the others, and at most, a share of the range.
@@ -269,7 +275,7 @@ def tick_widths(problem: Problem, found: Gradient) -> np.ndarray:
 
 
 def wide_widths(problem: Problem, found: Gradient) -> np.ndarray:
-    """Of wide central differences (k,): at least WIDE_TICKS control ticks of what each tunable moves."""
+    """Widths of wide central differences (k,): at least WIDE_TICKS ticks of what each tunable moves."""
     return np.maximum(WIDE_TICKS * tick_widths(problem, found), WIDE_SHARE * _ranges(problem))
 
 
@@ -314,14 +320,18 @@ def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndar
     return losses, jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *first)
 
 
-def _side_by_side(problem: Problem, function: Any, calls: list[tuple[Array, sim.Scenario]]) -> list[Any]:
+def _side_by_side(
+    problem: Problem,
+    function: Callable[[_Setting, Array, sim.Scenario], R],
+    calls: list[tuple[Array, sim.Scenario]],
+) -> list[R]:
     """Results of a compiled function for many arguments of the same shapes, one thread for each of XLA's.
 
     The first call of all goes ahead: it compiles, which every thread would do for itself.
     """
     double = jnp.result_type(float) == jnp.float64  # a setting of this thread only
 
-    def one(call: tuple[Array, sim.Scenario]) -> Any:
+    def one(call: tuple[Array, sim.Scenario]) -> R:
         with jax.enable_x64(double):
             return jax.block_until_ready(function(problem.setting, *call))
 
@@ -352,7 +362,7 @@ def _pieces(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([rows, np.full(-len(rows) % room, rows[-1])]).reshape(-1, room)
 
 
-def _point(problem: Problem, at: Any) -> np.ndarray:
+def _point(problem: Problem, at: Numbers | None) -> np.ndarray:
     if at is None:
         return problem.start
     at = np.asarray(at, float)
@@ -361,7 +371,7 @@ def _point(problem: Problem, at: Any) -> np.ndarray:
     return at
 
 
-def _rows(problem: Problem, rows: Any) -> np.ndarray:
+def _rows(problem: Problem, rows: Numbers | None) -> np.ndarray:
     n = problem.experiment.table.height
     rows = np.arange(n) if rows is None else np.asarray(rows, int)
     if rows.ndim != 1 or not len(rows) or rows.min() < 0 or rows.max() >= n:

@@ -24,7 +24,7 @@ class Teeth:
     at: np.ndarray
     """Values of the tunable, at equal distances (m,)."""
     losses: np.ndarray
-    """(m,)"""
+    """Losses at these values (m,)."""
     forward: float
     """Slope by forward mode, in the middle."""
 

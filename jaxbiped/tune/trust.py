@@ -1,4 +1,4 @@
-"""How far a gradient can be trusted: forward mode beside its twins, the growth of its tangents, and what went wrong.
+"""Trust in a gradient: forward mode beside its twins, the growth of its tangents, and what went wrong.
 
 Forward mode is exact for the simulator as it is written, tick for tick. Where an event moves on by ticks the loss is a
 sawtooth: forward mode and near central differences agree on the slope of a tooth, wide ones have the trend. And the
@@ -20,9 +20,9 @@ CLIP = 5.0
 SAME = 0.1
 """Two slopes are the same if they differ by no more than this share of the larger one."""
 TREND, TOOTH, NOISE = "trend", "tooth", "noise"
-"""What a slope by forward mode is."""
+"""Kinds of a slope by forward mode."""
 FORWARD, WIDE, MIXED = "forward", "wide", "mixed"
-"""What is descended."""
+"""Gradients that a tunable can be descended by."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class Trust:
     problem: Problem
     forward: Gradient
     central: Gradient
-    """Near: far less than a control tick of any event."""
+    """Near central differences, over far less than a control tick of any event."""
     wide: Gradient
     """Central differences over several control ticks, see `gradient.wide_widths`."""
     smoothed: Gradient
     cost_per_tangent: float | None = None
-    """Of the gradient beyond the walk itself, as a share of a walk; None if not measured."""
+    """Cost of a tangent beyond the walk itself, as a share of a walk; None if not measured."""
 
     @property
     def width(self) -> np.ndarray:
@@ -64,12 +64,12 @@ class Trust:
 
     @property
     def p90_rel(self) -> float:
-        """90th percentile of the same."""
+        """90th percentile of `relative` over walks that did not fall."""
         kept = self.relative[self.forward.status == 0]
         return float(np.nanpercentile(kept, 90)) if np.isfinite(kept).any() else float("nan")
 
     def cosine(self, twin: Gradient) -> float:
-        """Between forward mode and a twin, per range of the tunables."""
+        """Cosine between forward mode and a twin, per range of the tunables."""
         a, b = self.clipped_gradient * self.width, _clipped(twin, self.width) * self.width
         size = np.linalg.norm(a) * np.linalg.norm(b)
         return float(a @ b / size) if size > 0.0 else 1.0
@@ -89,17 +89,17 @@ class Trust:
 
     @property
     def share_clipped(self) -> float:
-        """Of the scenarios."""
+        """Share of the scenarios whose derivatives are clipped."""
         return float(np.mean(_scales(self.forward, self.width) < 1.0))
 
     @property
     def share_fallen(self) -> float:
-        """Of the scenarios."""
+        """Share of the scenarios in which the robot falls."""
         return float(np.mean(self.forward.status != 0))
 
     @property
     def slope(self) -> list[str]:
-        """What forward mode's slope by each tunable is (k,).
+        """Kind of forward mode's slope by each tunable (k,).
 
         TREND: that of wide differences too. TOOTH: that of near differences, but the walks agree that wide ones have
         another. NOISE: it is neither, or the walks disagree too much to tell.
@@ -110,7 +110,7 @@ class Trust:
         return np.where(wide, TREND, np.where(near & clear, TOOTH, NOISE)).tolist()
 
     def _same(self, twin: Gradient) -> np.ndarray:
-        """By which tunables forward mode and a twin have the same mean slope (k,), or next to none."""
+        """Whether forward mode and a twin have the same mean slope by each tunable (k,), or next to none."""
         a, b = self.clipped_gradient * self.width, _clipped(twin, self.width) * self.width
         size = np.maximum(np.abs(a), np.abs(b))
         return np.abs(a - b) <= np.maximum(SAME * size, 1e-3 * np.max(size))
@@ -132,17 +132,17 @@ class Trust:
 
     @property
     def descended(self) -> list[str]:
-        """By what each tunable is descended: forward mode if trusted, wide differences where it is a tooth's (k,)."""
+        """What each tunable is descended by (k,): FORWARD if trusted, else WIDE for a TOOTH, else MIXED."""
         teeth = np.array(self.slope) == TOOTH
         return np.where(self.trusted, FORWARD, np.where(teeth, WIDE, MIXED)).tolist()
 
     @property
     def mixture(self) -> np.ndarray:
-        """What to descend (k,), see `descended`."""
+        """The slope to descend (k,), see `descended`."""
         return mix(self.descended, self.forward, self.smoothed, self.wide)
 
     def lines(self) -> list[str]:
-        """The report, to read."""
+        """Lines of the report, for a person."""
         kept, n = int(np.sum(self.forward.status == 0)), len(self.forward.losses)
         twins = ("forward", "central", "wide", "smoothed")
         head = f"{'tunable':34s}" + "".join(f" {name:>11s}" for name in twins)
@@ -205,7 +205,7 @@ def report(
     problem: Problem,
     at: np.ndarray,
     rows: np.ndarray,
-    widths: Any = None,
+    widths: gradient.Numbers | None = None,
     sigma: float = 0.02,
     pairs: int = 4,
     seed: int = 0,
@@ -240,14 +240,14 @@ def _cost_per_tangent(problem: Problem, at: np.ndarray, rows: np.ndarray) -> flo
     return (_seconds(lambda: gradient.forward(problem, at, rows)) - walks) / (len(at) * walks)
 
 
-def _seconds(function: Callable[[], Any]) -> float:
+def _seconds(function: Callable[[], object]) -> float:
     began = time.perf_counter()
     function()
     return time.perf_counter() - began
 
 
 def mix(by: Sequence[str], forward: Gradient, smoothed: Gradient, wide: Gradient) -> np.ndarray:
-    """What to descend (k,).
+    """The slope to descend (k,).
 
     Args:
         by: for each tunable FORWARD, WIDE, or MIXED: forward mode and smoothing, weighted by their inverse variances.
@@ -281,6 +281,6 @@ def _clipped(found: Gradient, width: np.ndarray) -> np.ndarray:
 
 
 def _variance(found: Gradient, width: np.ndarray) -> np.ndarray:
-    """Of the mean over scenarios (k,)."""
+    """Variance of the mean over scenarios (k,)."""
     parts = _parts(found, width)
     return parts.var(axis=0, ddof=1) / len(parts) if len(parts) > 1 else np.full(parts.shape[1], np.inf)
