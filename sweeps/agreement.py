@@ -2,8 +2,8 @@
 
 Every scenario: 0 to 2 pads or holes under footholds, whole or with an edge at a random place under the sole; a load of
 0 to 20 kg at a random time; friction 0.3 to 1.0; every link's mass within 10 %; a push of 20 to 150 N for 0.1 s; no
-noise. C MuJoCo walks each with three models of the contact (`jaxbiped.sim.physics.c_world`). What counts is the agreement
-where the three agree with each other: where they do not, the contact itself decides, and nobody knows who is right.
+noise. C MuJoCo walks each with three models of the contact (`sim.physics.c_world`). What counts is the agreement where
+the three agree with each other: where they do not, the contact itself decides, and nobody knows who is right.
 
     python sweeps/agreement.py --json runs/agreement.json
 

@@ -31,8 +31,8 @@ class Loss(Protocol):
         """Rates to be integrated over the walk [1/s], from one sample and whether the robot has not failed so far."""
         ...
 
-    def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: float) -> Scalar:
-        """The loss of a walk that was simulated for `duration` [s]."""
+    def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: Scalar) -> Scalar:
+        """The loss of a walk that was simulated for `duration` [s]; traced, for one program for all."""
         ...
 
 
@@ -76,7 +76,7 @@ class WalkLoss(eqx.Module):
         lean = jnp.where(upright, jnp.maximum(over, 0.0), FALL_TILT - _LEAN)
         return jnp.concatenate([jnp.where(upright, masked, 0.0), (lean[None] / _LEAN) ** 2])
 
-    def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: float) -> Scalar:
+    def total(self, integral: Float[Array, " m"], walk: sim.Walk, duration: Scalar) -> Scalar:
         """The loss of a walk, see `Loss.total`."""
         tilt, force, impulse, margin, lean = integral
         cost = (

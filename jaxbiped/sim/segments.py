@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Int
 
 from jaxbiped import runtime
 from jaxbiped.sim.scenario import Scenario
-from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk
+from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
 Told = Callable[[float], None]
 """Is told which fraction of something is done."""
@@ -125,15 +125,10 @@ def _segment(simulation: PureSimulation, states: State) -> tuple[State, Bool[Arr
 
 
 @runtime.jit
-def _traced_segment(simulation: PureSimulation, states: State) -> tuple[State, Sample]:
+def _traced_segment(simulation: PureSimulation, states: State) -> tuple[State, Sample | None]:
     """A segment of MAX_ROWS rows later, and the rows."""
-
-    def row(state: State, _: None) -> tuple[State, Sample]:
-        quiet = simulation.options.trace_every - 1
-        state = jax.lax.fori_loop(0, quiet, lambda _, s: simulation.tick(s)[0], state)
-        return simulation.tick(state)
-
-    return jax.vmap(lambda state: jax.lax.scan(row, state, None, length=MAX_ROWS))(states)
+    ticks = MAX_ROWS * simulation.options.trace_every
+    return jax.vmap(lambda state: sampled(simulation.tick, state, ticks, MAX_ROWS))(states)
 
 
 @runtime.jit

@@ -104,6 +104,7 @@ Rate = Callable[[Sample, Bool[Array, ""]], Float[Array, " m"]]
 
 ENGINES: dict[str, Advance] = {COMPLIANT: compliant.advance, MJX: mjx_contacts.advance}
 """By `Options.contact`, what moves the robot in a pure tick; C MuJoCo moves whole walks, see `lockstep`."""
+C = TypeVar("C")
 _Self = TypeVar("_Self", bound="PureSimulation")
 
 
@@ -193,42 +194,67 @@ class PureSimulation(eqx.Module):
         new = frozen(state.stopped, state, new)
         return new, _sample(world, new, seen, targets)
 
-    def walk(self, scenario: Scenario, ticks: int | Int[Array, ""], rate: Rate | None = None) -> Walk:
+    def walk(
+        self,
+        scenario: Scenario,
+        ticks: int | Int[Array, ""],
+        rate: Rate | None = None,
+        rows: int | None = None,
+    ) -> Walk:
         """A whole walk, pure: to be mapped over scenarios and differentiated (forward).
 
         Args:
             scenario: what is walked in.
-            ticks: control ticks. With a trace a number, else it may be traced: one program for every duration.
+            ticks: control ticks. May be traced, one program for every duration, unless the options ask for a trace.
             rate: what is to be integrated.
+            rows: of the trace, at equal distances; None for one every `trace_every` ticks, as the options have it.
         """
         options, first = self.options, self.start(scenario)
+        if rows is None:
+            rows = 0
+            if options.trace_every:
+                assert isinstance(ticks, int)
+                rows, ticks = ticks // options.trace_every, ticks - ticks % options.trace_every
 
         def advance(carry: tuple[State, Any]) -> tuple[tuple[State, Any], Sample]:
             state, total = carry
             state, sample = self.tick(state)
             if rate is not None:
-                upright = ~state.record.failed
-                total = total + options.control_dt * rate(sample, upright)
+                total = total + options.control_dt * rate(sample, ~state.record.failed)
             return (state, total), sample
 
-        def quietly(_: Any, carry: tuple[State, Any]) -> tuple[State, Any]:
-            return advance(carry)[0]
-
-        def record(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Sample]:
-            return advance(jax.lax.fori_loop(0, options.trace_every - 1, quietly, carry))
-
-        carry, trace = (first, None if rate is None else _zero_of(rate, self, first)), None
-        if options.trace_every == 0:
-            carry = jax.lax.fori_loop(0, ticks, quietly, carry)
-        else:
-            assert isinstance(ticks, int)
-            carry, trace = jax.lax.scan(record, carry, None, length=ticks // options.trace_every)
-        state, total = carry
+        start = (first, None if rate is None else _zero_of(rate, self, first))
+        (state, total), trace = sampled(advance, start, ticks, rows)
         return Walk(state.record.statistics, trace, state.controller, total)
 
     def ticks(self, duration: float) -> int:
         """Control ticks of so long a walk [s]."""
         return round(duration / self.options.control_dt)
+
+
+def sampled(
+    advance: Callable[[C], tuple[C, Sample]], start: C, ticks: int | Int[Array, ""], rows: int
+) -> tuple[C, Sample | None]:
+    """Advance so many ticks; what comes of it, and so many samples at equal distances (None for none).
+
+    One loop, whose body holds the tick once: samples between the rows go to a spare row that nobody reads.
+    """
+    if rows == 0:
+        return jax.lax.fori_loop(0, ticks, lambda _, carry: advance(carry)[0], start), None
+    interval = jnp.maximum(ticks // rows, 1)
+
+    def tick(i: Int[Array, ""], carry: tuple[C, Sample]) -> tuple[C, Sample]:
+        state, sample = advance(carry[0])
+        row = jnp.where((i + 1) % interval == 0, jnp.minimum((i + 1) // interval - 1, rows), rows)
+        kept = jax.tree.map(
+            lambda all_rows, one: jax.lax.dynamic_update_index_in_dim(all_rows, one, row, 0), carry[1], sample
+        )
+        return state, kept
+
+    shapes = jax.eval_shape(lambda carry: advance(carry)[1], start)
+    empty = jax.tree.map(lambda leaf: jnp.zeros((rows + 1, *leaf.shape), leaf.dtype), shapes)
+    end, kept = jax.lax.fori_loop(0, ticks, tick, (start, empty))
+    return end, jax.tree.map(lambda leaf: leaf[:rows], kept)
 
 
 def _zero_of(rate: Rate, simulation: PureSimulation, state: State) -> Float[Array, " m"]:

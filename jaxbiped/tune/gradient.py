@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbiped import batch, runtime, sim
 from jaxbiped.adapt import Controller, tunables
@@ -31,7 +31,7 @@ R = TypeVar("R")
 LANES = 64
 """Most walks in one call; as many calls are made at once as XLA has threads."""
 SAMPLES = 8
-"""Samples of the tangents' growth over a walk."""
+"""Samples of the tangents' growth over a walk, at equal distances."""
 WIDE_TICKS = 5
 """Control ticks over which wide central differences let an event move, at least."""
 WIDE_SHARE, WIDEST_SHARE = 2e-3, 1e-2
@@ -128,11 +128,10 @@ class Problem:
     def setting(self) -> "_Setting":
         """Everything that the compiled functions need."""
         one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
-        experiment, options = self.experiment, self.experiment.simulation
-        every = max(1, round(self.duration / options.control_dt) // SAMPLES)
-        options = dataclasses.replace(options, trace_every=every)
-        simulation = sim.prepare(experiment.robot, self.controller, options, sim.rectangles_of(one))
-        return _Setting(simulation, self.loss, self.tunables, self.duration)
+        robot, options = self.experiment.robot, self.experiment.simulation
+        simulation = sim.prepare(robot, self.controller, options, sim.rectangles_of(one))
+        ticks = simulation.ticks(self.duration)
+        return _Setting(simulation, self.loss, self.tunables, jnp.asarray(self.duration), jnp.asarray(ticks))
 
     def scenarios(self, rows: np.ndarray) -> sim.Scenario:
         """Scenarios of these rows, as a leading axis."""
@@ -146,7 +145,10 @@ class _Setting(eqx.Module):
     """Simulation with the variant's own values."""
     loss: Loss
     tunables: tuple[Tunable, ...] = eqx.field(static=True)
-    duration: float = eqx.field(static=True)
+    duration: Float[Array, ""]
+    """Simulated time [s]; no constant, so that one program walks for every duration."""
+    ticks: Int[Array, ""]
+    """Control ticks of it."""
 
     def walk(
         self, at: Float[Array, " k"], scenario: sim.Scenario
@@ -159,7 +161,7 @@ class _Setting(eqx.Module):
             return self.loss.rate(robot, sample, upright)
 
         simulation = self.simulation.led_by(controller)
-        walk = simulation.walk(scenario, simulation.ticks(self.duration), rate)
+        walk = simulation.walk(scenario, self.ticks, rate, SAMPLES)
         assert walk.integral is not None and walk.trace is not None
         loss = self.loss.total(walk.integral, walk, self.duration)
         success = judge(walk, controller.gait, scenario).success
