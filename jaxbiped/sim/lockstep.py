@@ -85,8 +85,8 @@ Concluded = Callable[[list[Any], State, Fields, Fields], tuple[State, Array, Sam
 def _conclude(kind: Hashable) -> Concluded:
     """The compiled rest of a control tick of simulations of one kind (a tree structure).
 
-    It gives states, which have stopped, and samples. It is called tens of thousands of times in a walk; to look for what
-    is static in a simulation at every call, as `runtime.jit` does, would take ten times as long as the tick.
+    It gives states, which have stopped, and samples. It is called tens of thousands of times in a walk: to look
+    for what is static in a simulation at every call, as `runtime.jit` does, would take ten times as long as the tick.
     """
 
     def conclude(fixed: list[Any], states: State, moved: Any, seen: Any) -> tuple[State, Array, Sample]:

@@ -1,5 +1,6 @@
 """The example of docs/tune.md runs, and its gradient is that of central differences."""
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,21 @@ def test_the_example_of_the_docs_runs(example_in_float64):
     assert np.all(T_mod[height > 0.0] != 0.0)
     np.testing.assert_array_equal(descent_speed[height > 0.0], 0.0)
     assert np.all(descent_speed[height < 0.0] != 0.0)
+
+
+def test_one_program_for_every_duration(example_in_float64, compilations):
+    """Nothing is compiled for another one; the last samples are at its end."""
+    found, loss = example_in_float64["found"], example_in_float64["Gentle"]()
+    names, values = [t.name for t in found.tunables], []
+    for duration in (0.6, 0.4):
+        shorter = dataclasses.replace(example_in_float64["experiment"], duration=duration)
+        before = len(compilations)
+        with jax.enable_x64(True):
+            short = value_and_grad(shorter, names, loss=loss)
+        np.testing.assert_allclose(short.growth_time, duration * np.arange(1, 9) / 8, atol=0.005)
+        values.append(short.value)
+    assert len(compilations) == before
+    assert len({*values, found.value}) == 3
 
 
 @pytest.mark.slow
