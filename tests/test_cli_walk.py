@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxbiped import cli, planner, robot, score, sim
+from jaxbiped import batch, cli, planner, robot, score, sim
 from jaxbiped.adapt import tunables
 from jaxbiped.commands import choices, obstacles, payload, tune, walk, walk_words
 from jaxbiped.commands.common import InputError
@@ -367,7 +367,9 @@ def walked(capsys, out: Path, *args: str) -> tuple[list[str], dict]:
     result = json.loads(last)
     numbers = out / walk.NUMBERS
     figures = {Path(file) for file in result["files"]}
-    assert {*figures, numbers} == set(out.iterdir())
+    assert {*figures, numbers, out / walk.EXPERIMENT} == set(out.iterdir())
+    one = batch.read_experiment(out / walk.EXPERIMENT)
+    assert one.rows == 1 and one.durations == pytest.approx({next(iter(one.variants)): result["simulated_s"]})
     assert {file.stem for file in figures} <= set(walk.FIGURES)
     written = json.loads(numbers.read_text())
     assert written.pop("key") and written == {k: v for k, v in result.items() if k != "files"}

@@ -1,7 +1,7 @@
 """Experiments that are asked for again and again, made of a few numbers."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import polars as pl
@@ -12,7 +12,7 @@ from jaxbiped.adapt import variants as files_of_variants
 from jaxbiped.batch import defaults
 from jaxbiped.batch.draws import grid
 from jaxbiped.batch.experiment import Experiment
-from jaxbiped.batch.inputs import height_column
+from jaxbiped.batch.inputs import NEVER, height_column
 from jaxbiped.checked import Refusal, nearest
 from jaxbiped.planner import Gait
 from jaxbiped.robot import RobotParams
@@ -112,6 +112,36 @@ def obstacles(  # noqa: PLR0913
             raise Refusal(f"step: got {number}, allowed: 0 to {steps - 1} with {steps} steps")
     scenarios = pl.DataFrame({height_column(number): heights for number in step})
     return _experiment(params, file, planned, "landing", variants, scenarios, allow_infeasible, seed, batch)
+
+
+def walk(
+    robot: RobotParams | str | Path,
+    controller: Controller,
+    obstacles: Mapping[int, float] | None = None,
+    load_kg: float = 0.0,
+    load_time_s: float = NEVER,
+    name: str = "walk",
+) -> Experiment:
+    """One walk, over obstacles and under a load that the robot does not know of.
+
+    Args:
+        robot: a robot, the name of a preset, or the path of a robot file.
+        controller: gait and adaptation.
+        obstacles: heights [m] by the number of the step under whose foothold they are; negative for a hole.
+        load_kg: mass of the load [kg].
+        load_time_s: when it is put on [s]; 0 for one that is carried from the start.
+        name: of the variant.
+
+    Raises:
+        ValueError: naming what was got and what is allowed.
+    """
+    params, file = defaults.load_robot(robot)
+    columns = {height_column(step): height for step, height in (obstacles or {}).items()}
+    columns |= {"friction": sim.own_friction(params, controller.gait)}
+    if load_kg:
+        columns |= {"load_kg": load_kg, "load_time_s": load_time_s}
+    options = sim.own_options(params, controller.gait)
+    return Experiment(params, {name: controller}, pl.DataFrame([columns]), options, robot_file=file)
 
 
 def numbers(name: str, values: Iterable[float], unit: str, low: float, high: float) -> list[float]:

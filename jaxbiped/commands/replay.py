@@ -1,11 +1,10 @@
 """`jaxbiped replay`: one row of a results table again, with its trace, figures and, if asked for, a moving picture."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import numpy as np
 from tyro.conf import Positional, arg
 
@@ -22,7 +21,7 @@ from jaxbiped.commands.common import (
     say,
     whole,
 )
-from jaxbiped.commands.walk_input import TRACE_DT, Load, Obstacle, Setup, Variants
+from jaxbiped.commands.walk_input import Setup, of_row
 
 TOLERANCE = {"_s": 0.05, "_deg": 0.5, "_N": 60.0, "_Ns": 3.0, "_m": 5e-3}
 """Largest difference of a number of one walk from its table's, where the walk was one of many [of the unit].
@@ -61,7 +60,7 @@ def run(command: Replay) -> dict[str, Any]:
     if found.height != 1:
         raise InputError(f"row: got {command.row}, allowed: 0 to {experiment.rows - 1}, finished ones")
     row = found.row(0, named=True)
-    setup = set_up(experiment, row)
+    setup = of_row(experiment, row)
     walk.claim(setup, out, command.overwrite)
     one = walk.simulate(setup)
     result = walk.tell(setup, one, out)
@@ -77,30 +76,6 @@ def run(command: Replay) -> dict[str, Any]:
         result["files"].append(str(file))
     print(f"{walk.NUMBERS} and {len(result['files'])} figures in {out}")
     return {"row": command.row, "agrees": not different, "differences": different, **result}
-
-
-def set_up(experiment: batch.Experiment, row: dict[str, Any]) -> Setup:
-    """One row as a walk of its own."""
-    controller = experiment.variants[row["variant"]]
-    chosen = experiment.table[row["scenario"]]
-    batched = batch.scenarios_of(chosen, experiment.pads)
-    scenario: sim.Scenario = jax.tree.map(lambda leaf: leaf[0], batched)
-    options = experiment.simulation
-    heights = {step: row[batch.height_column(step)] for step in batch.steps_of(chosen.columns)}
-    end = row.get("load_end_s", batch.NEVER)  # of a table of version 0.1: no such input yet
-    loaded = row["load_kg"] > 0.0 and row["load_time_s"] < batch.NEVER
-    names = ["off" if controller.stage(name) is None else row["variant"] for name in ("landing", "payload")]
-    return Setup(
-        robot=experiment.robot,
-        gait=controller.gait,
-        obstacles=[Obstacle(step, height) for step, height in heights.items() if height],
-        load=Load(row["load_kg"], row["load_time_s"], end if end < batch.NEVER else None) if loaded else None,
-        variants=Variants(landing=names[0], reflex=names[1]),
-        controller=controller,
-        scenario=scenario,
-        options=replace(options, trace_every=max(1, round(TRACE_DT / options.control_dt))),
-        duration=experiment.durations[row["variant"]],
-    )
 
 
 def outcome(one: sim.Walk, setup: Setup) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from jaxbiped.commands.common import (
 from jaxbiped.commands.walk_input import VARIANTS, Setup, set_up
 from jaxbiped.report import traces
 
-NUMBERS, MOVIE = "walk.json", "walk.gif"
+EXPERIMENT, NUMBERS, MOVIE = "experiment.toml", "walk.json", "walk.gif"
 FIGURES = (
     "khadiv_fig6_feet",
     "khadiv_fig7_pelvis",
@@ -46,7 +46,7 @@ FIGURES = (
     "elkahlout_fig4_12_settling_zmp",
 )
 """Names of all figures that a walk may have."""
-FILES = (NUMBERS, *(f"{name}.png" for name in FIGURES), MOVIE)
+FILES = (EXPERIMENT, NUMBERS, *(f"{name}.png" for name in FIGURES), MOVIE)
 """Names of all files that a walk may leave."""
 DRAWN_EVERY = 5
 """Samples of the trace between two that are drawn, but for close-ups and filters."""
@@ -87,7 +87,7 @@ class Walk:
     ] = ()
     allow_infeasible: Annotated[bool, arg(help=ALLOW_HELP)] = False
     out: Path = Path("runs/walk")
-    """Folder of walk.json and the figures; made if it is missing."""
+    """Folder of experiment.toml, walk.json and the figures; made if it is missing."""
     overwrite: Annotated[bool, arg(help=OVERWRITE_HELP)] = False
     json: bool = False
     """Print one JSON object as the last line."""
@@ -115,8 +115,10 @@ def run(command: Walk) -> dict[str, Any]:
         allow = command.allow_infeasible
         setup = set_up(command.robot, command.steps, command.gait, obstacles, payload, variants, allow)
     claim(setup, out, command.overwrite)
+    with refusing(out, "a place that can be written"):
+        batch.write_experiment(out / EXPERIMENT, setup.experiment)
     result = tell(setup, simulate(setup), out)
-    print(f"{NUMBERS} and {len(result['files'])} figures in {out}")
+    print(f"{EXPERIMENT}, {NUMBERS} and {len(result['files'])} figures in {out}")
     return result
 
 

@@ -1,15 +1,17 @@
 """From the words of `jaxbiped walk` to a robot, gait, controller and scenario; what cannot be meant is refused."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import jax
 import numpy as np
 
-from jaxbiped import adapt, checked, robot, score, sim
+from jaxbiped import adapt, batch, checked, robot, sim
 from jaxbiped.adapt.variants import stage_of
+from jaxbiped.batch import recipes
 from jaxbiped.commands.choices import (
     MODIFIED,
     OFF,
@@ -22,12 +24,14 @@ from jaxbiped.commands.choices import (
 )
 from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.planner import Gait
-from jaxbiped.sim.scenario import RANGES, Terrain, pad_under, require_swing_clears
+from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears
 
 VARIANTS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
 REFLEX_VARIANTS = (ORIGINAL, MODIFIED)
 DEEPEST = RANGES["height_m"].low
 """Smallest height of a pad, that of the deepest hole [m]."""
+ROOM = 8
+"""Rectangles that there is room for in a walk of its own, at least."""
 TRACE_DT = 2e-3
 """Time between two samples of the trace [s]."""
 
@@ -62,6 +66,12 @@ class Variants:
     reflex: str
     """off, original, modified, repaired, or the file of a variant."""
 
+    @property
+    def name(self) -> str:
+        """One name for both."""
+        on = {"landing": self.landing, "payload": self.reflex}
+        return ", ".join(f"{stage} {word}" for stage, word in on.items() if word != OFF) or OFF
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -77,6 +87,8 @@ class Setup:
     options: sim.Options
     duration: float
     """Time to be simulated [s]."""
+    experiment: batch.Experiment
+    """That whose row this is."""
 
     @property
     def gait_name(self) -> str:
@@ -104,6 +116,7 @@ def set_up(
     of_file = _of_file(words, params, gait, allow_infeasible)
     gait = gait if of_file is None else of_file.gait
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
+    _refuse_overlaps(pads, params, gait)
     if of_file is None:
         chosen = _variants(words, bool(pads), load is not None)
         controller = adapt.Controller(
@@ -114,19 +127,54 @@ def set_up(
     else:
         controller, stages = of_file, (of_file.stage("landing"), of_file.stage("payload"))
         chosen = Variants(*(OFF if stage is None else words[0] for stage in stages))
-    options = sim.own_options(params, gait)
-    options = replace(options, trace_every=round(TRACE_DT / options.control_dt))
+    loaded = {} if load is None else {"load_kg": load.mass, "load_time_s": load.time}
+    heights = {pad.step: pad.height for pad in pads}
+    name = words[0] if of_file is not None else chosen.name
+    try:
+        one = recipes.walk(robot_name, controller, heights, **loaded, name=name)
+    except ValueError as error:
+        raise InputError(f"--obstacle: {str(error).partition(': ')[2]}") from None
+    return of_row(one, {"variant": name, "scenario": 0, **one.table.row(0, named=True)}, chosen)
+
+
+def of_row(experiment: batch.Experiment, row: Mapping[str, Any], variants: Variants | None = None) -> Setup:
+    """One row of an experiment as a walk of its own.
+
+    Args:
+        experiment: what is walked.
+        row: its inputs, and `variant` and `scenario`.
+        variants: of its stages; the variant's name for every stage that it has if not given.
+    """
+    controller = experiment.variants[row["variant"]]
+    chosen = experiment.table[row["scenario"]]
+    scenario = jax.tree.map(lambda leaf: leaf[0], batch.scenarios_of(chosen, experiment.pads))
+    options = experiment.simulation
+    heights = {step: row[batch.height_column(step)] for step in batch.steps_of(chosen.columns)}
+    end = row.get("load_end_s", batch.NEVER)  # of a table of version 0.1: no such input yet
+    loaded = row["load_kg"] > 0.0 and row["load_time_s"] < batch.NEVER
+    names = [OFF if controller.stage(name) is None else row["variant"] for name in ("landing", "payload")]
     return Setup(
-        robot=params,
-        gait=gait,
-        obstacles=pads,
-        load=load,
-        variants=chosen,
+        robot=experiment.robot,
+        gait=controller.gait,
+        obstacles=[Obstacle(step, height) for step, height in heights.items() if height],
+        load=Load(row["load_kg"], row["load_time_s"], end if end < batch.NEVER else None) if loaded else None,
+        variants=variants or Variants(landing=names[0], reflex=names[1]),
         controller=controller,
-        scenario=_scenario(params, gait, pads, load),
-        options=options,
-        duration=score.watch_time(controller, int(load is not None and load.time > 0.0)),
+        scenario=_roomy(scenario),
+        options=replace(options, trace_every=max(1, round(TRACE_DT / options.control_dt))),
+        duration=experiment.durations[row["variant"]],
+        experiment=experiment,
     )
+
+
+def _roomy(scenario: sim.Scenario) -> sim.Scenario:
+    """The same with room for ROOM rectangles, so that walks over few and over many obstacles are one program."""
+
+    def filled(leaf: np.ndarray) -> np.ndarray:
+        more = max(ROOM - leaf.shape[0], 0)
+        return np.concatenate([leaf, np.zeros((more, *leaf.shape[1:]), leaf.dtype)])
+
+    return replace(scenario, terrain=jax.tree.map(filled, scenario.terrain))
 
 
 _Number = TypeVar("_Number", int, float)
@@ -233,25 +281,14 @@ def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants
     return Variants(PAPER if PAPER in words else otherwise, reflexes[0] if reflexes else otherwise)
 
 
-def _scenario(params: robot.RobotParams, gait: Gait, pads: list[Obstacle], load: Load | None) -> sim.Scenario:
-    scenario = sim.Scenario.flat(rectangles=max(8, len(pads))).with_friction(sim.own_friction(params, gait))
-    for pad in pads:
-        scenario = scenario.with_rectangle(*pad_under(params, gait, pad.step), pad.height)
-    _refuse_overlaps(pads, scenario.terrain)
-    try:
-        sim.require_clear_start(params, gait, scenario.terrain)
-    except checked.Refusal as error:
-        raise InputError(f"--obstacle: {error}") from None
-    return scenario if load is None else scenario.with_payload(load.mass, load.time)
-
-
-def _refuse_overlaps(pads: list[Obstacle], terrain: Terrain) -> None:
+def _refuse_overlaps(pads: list[Obstacle], params: robot.RobotParams, gait: Gait) -> None:
     """Refuse overlapping pads, whose heights would add up to something nobody asked for."""
-    lower, upper = np.asarray(terrain.lower), np.asarray(terrain.upper)
-    for i, a in enumerate(pads):
-        for j, b in enumerate(pads[:i]):
-            if np.all(lower[i] < upper[j]) and np.all(lower[j] < upper[i]):
+    places = [pad_under(params, gait, pad.step) for pad in pads]
+    for i, (lower, upper) in enumerate(places):
+        for j, (other_lower, other_upper) in enumerate(places[:i]):
+            if np.all(lower < other_upper) and np.all(other_lower < upper):
+                first, second = sorted((pads[i].step, pads[j].step))
                 raise InputError(
-                    f"--obstacle: got pads under steps {min(a.step, b.step)} and {max(a.step, b.step)} that overlap "
-                    "in this gait, allowed: pads apart from each other"
+                    f"--obstacle: got pads under steps {first} and {second} that overlap in this gait, allowed: pads "
+                    "apart from each other"
                 )
