@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import is_concrete
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import RobotParams, on_device
 from jaxbiped.sim import feed_forward, mjx_adapter, mjx_contacts, segments
 from jaxbiped.sim.options import COMPLIANT, DURATION, MJX, Options
 from jaxbiped.sim.scenario import Scenario, require_clear_start
@@ -71,7 +71,7 @@ def prepare(
         options: the defaults if not given.
         rectangles: how many a terrain has, for MuJoCo's own contacts only.
     """
-    options = options or Options()
+    robot, options = on_device(robot), options or Options()
     if options.contact == COMPLIANT:
         model = mjx_adapter.base_model(robot)
     else:
