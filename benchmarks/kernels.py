@@ -99,8 +99,7 @@ def measure(robot_name: str, quick: bool) -> dict[str, Any]:
 
 def one_leg_model(robot_name: str) -> mujoco.MjModel:
     """The robot's own MuJoCo model with its pelvis fixed in the world's origin and its left leg only."""
-    with jax.enable_x64(True):
-        spec: Any = sim.build_spec(robot.load(robot_name))
+    spec: Any = sim.build_spec(robot.load(robot_name))
     spec.delete(spec.joint("root"))
     spec.delete(spec.body("right_hip_yaw"))
     spec.body("trunk").pos = np.zeros(3)
@@ -144,7 +143,7 @@ def our_ik(
 ) -> dict[str, Any]:
     """Rate and accuracy of `kinematics.leg.inverse` in one precision."""
     with jax.enable_x64(dtype == "float64"):
-        params = robot.load(robot_name)
+        params = robot.on_device(robot.load(robot_name))
         solve = jax.jit(jax.vmap(lambda r, p, rot: leg.inverse(r, robot.LEFT, p, rot), in_axes=(None, 0, 0)))
         p, rot = jnp.asarray(targets.p, dtype), jnp.asarray(targets.rot, dtype)
         found = solve(params, p, rot)
@@ -271,7 +270,7 @@ def gait_rates(batches: tuple[int, ...], repeats: int) -> dict[str, dict[str, fl
 
 def nominal_gaits() -> list[tuple[str, Any, robot.RobotParams]]:
     """Both papers' gaits with their robots."""
-    robots = [robot.load(name) for name in ("surena3", "elkahlout")]
+    robots = [robot.on_device(robot.load(name)) for name in ("surena3", "elkahlout")]
     names = [planner.own_gait_name(params) for params in robots]
     return [(f"{r.name}, {name}", planner.GAITS[name], r) for r, name in zip(robots, names, strict=True)]
 
@@ -298,7 +297,7 @@ def compilations(targets: Targets, n_steps: int) -> dict[str, int]:
 
         inputs = [scaled((params, kind.preset_params(params), jnp.ones(())), s) for s in scales]
         counts[f"{name}: plan, targets, joint angles"] = compile_count(jax.jit(plan_and_follow), inputs)
-    params = robot.load("surena3")
+    params = robot.on_device(robot.load("surena3"))
     p, rot = targets.p.astype(np.float32), targets.rot.astype(np.float32)
     some = [i % len(p) for i in range(PARAMETER_SETS)]
     legs = [(scaled(params, s), p[i], rot[i]) for s, i in zip(scales, some, strict=True)]

@@ -31,7 +31,7 @@ REPEATS = 9
 
 def pieces(name: str, batch: int) -> dict[str, tuple[Any, tuple]]:
     """Functions of one lane and their batched arguments, by name; `tick` is all of them together."""
-    params = robot.load(name)
+    params = robot.on_device(robot.load(name))
     gait = planner.own_gait(params, 4)
     options = sim.Options(dt=DT)
     simulation = sim.prepare(params, Controller(gait), options)

@@ -14,7 +14,7 @@ from jaxbiped.adapt import Controller, Outcome
 from jaxbiped.batch import inputs, records
 from jaxbiped.batch.columns import outcomes
 from jaxbiped.checked import Refusal, Word, refuse_unknown, whole
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import RobotParams, on_device
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
 from jaxbiped.sim.options import DURATION
@@ -45,7 +45,7 @@ class Experiment:
     """
 
     robot: RobotParams
-    """The robot as the planner knows it."""
+    """The robot as the planner knows it; kept in JAX\'s default float, in which it is walked and written."""
     variants: Mapping[str, Controller]
     """Controllers by name. Pads lie under the footholds of the first one's gait."""
     scenarios: pl.DataFrame
@@ -69,6 +69,7 @@ class Experiment:
     def __post_init__(self, judge: bool) -> None:
         """Refuse what cannot be simulated."""
         self._require_kinds()
+        object.__setattr__(self, "robot", on_device(self.robot))
         object.__setattr__(self, "duration", self._checked_duration())
         for page in self.pages:
             PAGES.check("pages", page)

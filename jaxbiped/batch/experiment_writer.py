@@ -61,7 +61,7 @@ def _robot(experiment: Experiment, lacking: list[str]) -> str:
     params = experiment.robot
     for given in (params.name, experiment.robot_file):
         try:
-            if given and variants.same(robot.load(given), params):
+            if given and variants.same(robot.on_device(robot.load(given)), params):
                 return given
         except robot.RobotFileError:
             continue

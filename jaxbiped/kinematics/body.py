@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxbiped.kinematics import leg
-from jaxbiped.robot import JOINT_AXES, LEFT, RIGHT, RobotParams
+from jaxbiped.robot import JOINT_AXES, LEFT, RIGHT, RobotParams, on_device
 
 
 class BodyPose(eqx.Module):
@@ -55,11 +55,12 @@ def pose(
 
 def com_of_links(robot: RobotParams, body: BodyPose) -> Float[Array, "link 3"]:
     """Centre of mass of every link in the world [m]."""
-    return body.p_world_link + jnp.einsum("nij,nj->ni", body.rot_world_link, robot.links.com)
+    return body.p_world_link + jnp.einsum("nij,nj->ni", body.rot_world_link, on_device(robot).links.com)
 
 
 def com(robot: RobotParams, body: BodyPose) -> Float[Array, "3"]:
     """Centre of mass of the robot in the world [m]."""
+    robot = on_device(robot)
     return robot.links.mass @ com_of_links(robot, body) / robot.total_mass
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxbiped.kinematics.body import BodyPose, com_of_links
 from jaxbiped.kinematics.rotation import unskew
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import RobotParams, on_device
 
 GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
@@ -61,6 +61,7 @@ class MotionState(eqx.Module):
 
 def evaluate(robot: RobotParams, motion: Motion, time: Float[Array, ""]) -> MotionState:
     """Differentiate a motion twice at `time` [s] and sum up Newton and Euler for every link."""
+    robot = on_device(robot)
 
     def momenta(t: Float[Array, ""]):
         (body, angle), (body_rate, speed) = jax.jvp(motion, (t,), (jnp.ones_like(t),))
@@ -98,4 +99,4 @@ def joint_torques(robot: RobotParams, state: MotionState, foot_wrench: Wrench) -
     needed = beyond - Wrench(foot_wrench.force[:, None], foot_wrench.moment[:, None])
     about_joint = needed.moment - jnp.cross(state.body.p_world_joint, needed.force)
     torque = jnp.sum(state.body.axis_world_joint * about_joint, axis=-1)
-    return torque + robot.servo.armature * state.acceleration
+    return torque + on_device(robot).servo.armature * state.acceleration

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.kinematics import safe
 from jaxbiped.kinematics.rotation import about_x, about_y, about_z
-from jaxbiped.robot import JOINT_AXES, RobotParams
+from jaxbiped.robot import JOINT_AXES, RobotParams, on_device
 
 OK, OUT_OF_REACH, AT_JOINT_LIMIT = 0, 1, 2
 STATUS_TEXT = ("ok", "out of reach", "at a joint limit")
@@ -48,6 +48,7 @@ class LegAngles(eqx.Module):
 
 def forward(robot: RobotParams, side: int | Int[Array, ""], angle: Float[Array, "6"]) -> LegPose:
     """Forward kinematics of the leg on `side` (0 left, 1 right) at joint angles (6,) [rad]."""
+    robot = on_device(robot)
     hip = robot.p_pelvis_hip[side]
     rotations = []
     rotation = jnp.eye(3, dtype=angle.dtype)
@@ -76,6 +77,7 @@ def inverse(
     moved along the line from hip to ankle to the nearest reachable one; angles beyond the joint ranges are clipped to
     them. Never NaN; derivatives are finite everywhere.
     """
+    robot = on_device(robot)
     r = _hip_in_sole_frame(robot, side, p_pelvis_sole, rot_pelvis_sole)
     knee, reachable = _knee(robot, side, safe.norm(r))
     pitch, roll = _ankle(robot, side, r, knee)
@@ -89,6 +91,7 @@ def inverse(
 
 def reach(robot: RobotParams, side: int | Int[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Smallest and largest distance between hip centre and ankle centre [m], from the knee's range."""
+    robot = on_device(robot)
     bend = robot.joint_range[side, 3]
     return _hip_to_ankle(robot, bend[1]), _hip_to_ankle(robot, jnp.maximum(bend[0], STRAIGHT_KNEE))
 

@@ -15,6 +15,7 @@ from jaxbiped.robot.params import (
     Links,
     RobotParams,
     Servo,
+    on_device,
 )
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "defaults",
     "load",
     "numbers",
+    "on_device",
     "presets",
     "read_number",
 ]

@@ -7,7 +7,6 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, TypeVar
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxbiped import checked
@@ -252,9 +251,11 @@ def _build(read: dict[str, Any]) -> RobotParams:
     )
 
 
-def _array(value: np.ndarray) -> Any:
-    """To the default float type of JAX (float32, or float64 under `jax_enable_x64`)."""
-    return jnp.asarray(value, dtype=jnp.result_type(float))
+def _array(value: np.ndarray) -> np.ndarray:
+    """A float64 array that cannot be written to, as records are."""
+    array = np.array(value, np.float64)
+    array.setflags(write=False)
+    return array
 
 
 def _hip_centre(value: dict[str, np.ndarray]) -> np.ndarray:

@@ -306,7 +306,7 @@ def pad_under(robot: RobotParams, gait: Gait, step: SupportsIndex) -> tuple[np.n
         ValueError: if the gait has no such step.
     """
     foot, sole, _ = _swing(gait, step)
-    corners = sole[foot, :2] + np.asarray(robot.p_sole_corner)[foot, :, :2]
+    corners = sole[foot, :2] + np.asarray(robot.p_sole_corner, sole.dtype)[foot, :, :2]
     return corners.min(axis=0) - [PAD_BEHIND, PAD_AROUND], corners.max(axis=0) + PAD_AROUND
 
 
@@ -357,7 +357,7 @@ def require_clear_start(robot: RobotParams, gait: Gait, terrain: Terrain) -> Non
         return
     with jax.ensure_compile_time_eval():
         start = np.asarray(_start(gait))
-    sole = start[:, None, :2] + np.asarray(robot.p_sole_corner)[..., :2]
+    sole = start[:, None, :2] + np.asarray(robot.p_sole_corner, start.dtype)[..., :2]
     low, high = sole.min(axis=1) - 0.5 * EDGE_WIDTH, sole.max(axis=1) + 0.5 * EDGE_WIDTH
     lower, upper, height = (np.asarray(leaf) for leaf in (terrain.lower, terrain.upper, terrain.height))
     there = (height != 0.0) & np.all(lower < upper, axis=-1)

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import is_concrete
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import RobotParams, on_device
 from jaxbiped.sim import feed_forward, lockstep, mjx_adapter, segments
 from jaxbiped.sim.options import C_MUJOCO, DURATION, MJX, Options
 from jaxbiped.sim.physics import mjx_contacts
@@ -72,7 +72,7 @@ def prepare(
         options: the defaults if not given.
         rectangles: how many a terrain has, for MuJoCo's own contacts only.
     """
-    options = options or Options()
+    robot, options = on_device(robot), options or Options()
     if options.contact == MJX:
         model = mjx_contacts.base_model(robot, rectangles, options.dt)
     else:

@@ -18,7 +18,7 @@ def there_and_back(value):
 
 def every_record():
     for name in robot.presets():
-        params = robot.load(name)
+        params = robot.on_device(robot.load(name))  # as in an experiment
         yield params
         for gait in (planner.PolynomialGait.preset(params, 3), planner.CosineGait.preset(params, 3)):
             yield adapt.Controller(gait)

@@ -39,8 +39,8 @@ def surena3():
 
 def weaker(biped, limit: str, side: int, joint: str, value: float):
     """The robot with another limit of one joint."""
-    old = getattr(biped.servo, limit)
-    new = old.at[side, JOINT_NAMES.index(joint)].set(value)
+    new = np.array(getattr(biped.servo, limit))
+    new[side, JOINT_NAMES.index(joint)] = value
     return eqx.tree_at(lambda b: getattr(b.servo, limit), biped, new)
 
 

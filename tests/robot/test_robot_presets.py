@@ -1,9 +1,9 @@
 """The presets hold the papers' numbers; any robot file becomes a record of two mirrored legs."""
 
+import tomllib
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -74,7 +74,7 @@ def test_surena3_upper_body_is_as_high_as_the_stated_distance_from_pelvis_to_hea
     assert "distance between pelvis and head" in number.source
 
 
-def test_surena3_mass_is_table_1_plus_the_crosses_it_leaves_out(x64):
+def test_surena3_mass_is_table_1_plus_the_crosses_it_leaves_out():
     surena3 = robot.load("surena3")
     masses = dict(zip(robot.LINK_NAMES, np.asarray(surena3.links.mass), strict=True))
     crosses = sum(masses[f"{side}_hip_{axis}"] for side in robot.SIDE_NAMES for axis in ("yaw", "roll"))
@@ -84,14 +84,14 @@ def test_surena3_mass_is_table_1_plus_the_crosses_it_leaves_out(x64):
     assert float(surena3.total_mass) == pytest.approx(82.0, abs=1e-9)
 
 
-def test_surena3_trunk_is_pelvis_and_upper_body_welded(x64):
+def test_surena3_trunk_is_pelvis_and_upper_body_welded():
     surena3 = robot.load("surena3")
     assert float(surena3.links.mass[0]) == pytest.approx(17.800 + 28.482, abs=1e-9)
     height = (17.800 * 0.05 + 28.482 * 0.3835) / (17.800 + 28.482)
     np.testing.assert_allclose(surena3.links.com[0], [0.0, 0.0, height], atol=1e-12)
 
 
-def test_elkahlout_has_the_masses_of_section_3_1(x64):
+def test_elkahlout_has_the_masses_of_section_3_1():
     elkahlout = robot.load("elkahlout")
     assert float(elkahlout.links.mass[0]) == 50.0
     assert leg_mass(elkahlout, robot.LEFT) == pytest.approx(15.0, abs=1e-12)
@@ -99,7 +99,7 @@ def test_elkahlout_has_the_masses_of_section_3_1(x64):
     assert float(elkahlout.total_mass) == pytest.approx(80.0, abs=1e-12)
 
 
-def test_elkahlout_trunk_is_the_box_of_section_3_3(x64):
+def test_elkahlout_trunk_is_the_box_of_section_3_3():
     elkahlout = robot.load("elkahlout")
     length, width, height, mass = 0.2, 0.4, 0.5, 50.0
     moments = mass / 12.0 * np.array([width**2 + height**2, length**2 + height**2, length**2 + width**2])
@@ -132,7 +132,7 @@ def test_every_number_of_a_preset_has_its_unit_and_where_it_comes_from(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
-def test_links_mirror(x64, name):
+def test_links_mirror(name):
     links = robot.load(name).links
     left, right = slice(1, 7), slice(7, 13)
     np.testing.assert_array_equal(links.mass[left], links.mass[right])
@@ -142,7 +142,7 @@ def test_links_mirror(x64, name):
 
 
 @pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
-def test_hips_and_soles_mirror(x64, name):
+def test_hips_and_soles_mirror(name):
     params = robot.load(name)
     np.testing.assert_array_equal(params.p_pelvis_hip[0] * FLIP, params.p_pelvis_hip[1])
     toe_left, toe_right, heel_left, heel_right = np.asarray(params.p_sole_corner[0] * FLIP)
@@ -154,7 +154,7 @@ def test_hips_and_soles_mirror(x64, name):
 
 
 @pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
-def test_servos_and_joint_ranges_mirror(x64, name):
+def test_servos_and_joint_ranges_mirror(name):
     params = robot.load(name)
     for gain in jax.tree.leaves(params.servo):
         np.testing.assert_array_equal(gain[0], gain[1])
@@ -164,7 +164,7 @@ def test_servos_and_joint_ranges_mirror(x64, name):
         np.testing.assert_array_equal(params.joint_range[1, joint], mirrored)
 
 
-def test_users_own_file_is_read_number_by_number(x64):
+def test_users_own_file_is_read_number_by_number():
     own = robot.load(LOPSIDED)
     numbers = by_field(str(LOPSIDED))
     assert own.name == "lopsided"
@@ -196,7 +196,44 @@ def test_copied_preset_loads_like_the_preset(tmp_path, name):
         np.testing.assert_array_equal(one, other)
 
 
-def test_records_have_the_default_float_type():
-    assert {leaf.dtype for leaf in jax.tree.leaves(robot.load("surena3"))} == {jnp.dtype("float32")}
-    with jax.enable_x64(True):
-        assert {leaf.dtype for leaf in jax.tree.leaves(robot.load("surena3"))} == {jnp.dtype("float64")}
+def given(name: str) -> dict:
+    """The file itself."""
+    path = Path(name) if name.endswith(".toml") else Path(robot.__file__).parent / "presets" / f"{name}.toml"
+    return tomllib.loads(path.read_text())
+
+
+@pytest.mark.parametrize("double", [False, True])
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
+def test_robots_are_kept_on_the_host_as_their_files_say(name, double):
+    with jax.enable_x64(double):
+        params, file = robot.load(name), given(name)
+    for leaf in jax.tree.leaves(params):
+        assert isinstance(leaf, np.ndarray) and leaf.dtype == np.float64 and not leaf.flags.writeable
+    for key in ("thigh_length", "shank_length", "ankle_height"):
+        assert float(getattr(params, key)) == file["geometry"][key]["value"]
+    assert float(params.height) == file["overall"]["height"]["value"]
+    for key, number in file["servo"].items():
+        np.testing.assert_array_equal(getattr(params.servo, key)[0], number["value"])
+    for i, limit in enumerate(("lower", "upper")):
+        np.testing.assert_array_equal(params.joint_range[0, :, i], file["limits"][limit]["value"])
+    for link, body in enumerate(robot.LEG_LINK_NAMES, start=1):
+        assert params.links.mass[link] == file["leg"][body]["mass"]["value"]
+        np.testing.assert_array_equal(params.links.com[link], file["leg"][body]["com"]["value"])
+    trunk = sum(body["mass"]["value"] for body in file["trunk"].values())
+    assert params.links.mass[0] == pytest.approx(trunk, rel=1e-15)
+
+
+@pytest.mark.parametrize(("double", "kind"), [(False, np.float32), (True, np.float64)])
+@pytest.mark.parametrize("name", ROBOTS, ids=lambda name: Path(name).stem)
+def test_on_the_device_they_have_jax_s_default_float(name, double, kind):
+    host = robot.load(name)
+    with jax.enable_x64(double):
+        device = robot.on_device(host)
+        again, traced = robot.on_device(device), jax.jit(lambda r: r)(host)
+    assert jax.tree.structure(device) == jax.tree.structure(host)
+    trees = (host, device, again, traced)
+    for one, other, same, through_jit in zip(*map(jax.tree.leaves, trees), strict=True):
+        assert isinstance(other, jax.Array) and other.dtype == kind and not other.weak_type
+        np.testing.assert_array_equal(np.asarray(other), one.astype(kind))
+        np.testing.assert_array_equal(np.asarray(other), np.asarray(through_jit))
+        assert through_jit.dtype == kind and same is other

@@ -23,8 +23,8 @@ IGNORED = (
 
 
 def load(name: str) -> robot.RobotParams:
-    """A robot under a name that all share: the name is static, so they share compiled kernels too."""
-    return dataclasses.replace(robot.load(name), name="any", walks_like="")
+    """A robot on the device, under a name that all share: the name is static, so they share compiled kernels too."""
+    return robot.on_device(dataclasses.replace(robot.load(name), name="any", walks_like=""))
 
 
 def load64(name: str) -> robot.RobotParams:

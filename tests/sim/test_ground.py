@@ -18,7 +18,7 @@ from jaxbiped.sim.physics.compliant import seen
 TICKS = (5e-4, 1e-3, 2e-3)
 """Physics ticks [s] that all of this holds for."""
 with jax.enable_x64(True):
-    BIPED = robot.load("surena3")
+    BIPED = robot.on_device(robot.load("surena3"))
     FLAT = Scenario.flat(2)
 
 

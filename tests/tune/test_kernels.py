@@ -153,7 +153,7 @@ def level(
 
 def test_ground_forces(x64):
     """Of corners in the ground and over it, pressed in, pulled out, and sliding; on a pad and beside it."""
-    biped, flat = robot.load("surena3"), Scenario.flat(1)
+    biped, flat = robot.on_device(robot.load("surena3")), Scenario.flat(1)
     terrain = eqx.tree_at(
         lambda t: (t.lower, t.upper), flat.terrain, (jnp.array([[-0.3, 0.0]]), jnp.ones((1, 2)))
     )
@@ -314,7 +314,7 @@ def test_torques(x64):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_stiffness_and_damping_are_the_servo_s(x64, name):
-    one = robot.load(name).servo
+    one = robot.on_device(robot.load(name)).servo
     little = 0.1 * one.torque_limit / one.kp
 
     @partial(jax.jit, compiler_options=NOT_OPTIMISED)

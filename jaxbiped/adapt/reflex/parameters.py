@@ -14,7 +14,7 @@ from jaxbiped.adapt.stage import Outcome, Stage, register
 from jaxbiped.checked import Quantity, Refusal
 from jaxbiped.kinematics import body
 from jaxbiped.planner import Gait, feasibility, is_concrete
-from jaxbiped.robot import RobotParams
+from jaxbiped.robot import RobotParams, on_device
 
 Scalar = Float[Array, ""]
 
@@ -243,7 +243,7 @@ class PayloadReflex(Stage):
         require_names(cls, parameters)
         ours = {"x_reflex": X_REFLEX_NONE, "reflex_time": 0.5}
         if "x_stand" not in parameters:
-            ours["x_stand"] = standing_zmp(robot, gait) - robot.p_sole_corner[..., 0].mean()
+            ours["x_stand"] = standing_zmp(robot, gait) - on_device(robot).p_sole_corner[..., 0].mean()
         return cls(**{**_of_plan(robot, gait, parameters), **ours, **parameters})
 
     @classmethod
