@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxbiped import adapt, batch, checked, robot, sim
 from jaxbiped.adapt.variants import stage_of
@@ -170,9 +172,9 @@ def of_row(experiment: batch.Experiment, row: Mapping[str, Any], variants: Varia
 def _roomy(scenario: sim.Scenario) -> sim.Scenario:
     """The same with room for ROOM rectangles, so that walks over few and over many obstacles are one program."""
 
-    def filled(leaf: np.ndarray) -> np.ndarray:
+    def filled(leaf: Array) -> Array:
         more = max(ROOM - leaf.shape[0], 0)
-        return np.concatenate([leaf, np.zeros((more, *leaf.shape[1:]), leaf.dtype)])
+        return jnp.concatenate([leaf, jnp.zeros((more, *leaf.shape[1:]), leaf.dtype)])
 
     return replace(scenario, terrain=jax.tree.map(filled, scenario.terrain))
 

@@ -119,7 +119,8 @@ class Tally:
         if weight.sum() > TOUCHING:
             self.zmp = weight @ corner / weight.sum()
         active = np.repeat(seen["force"][..., 2].sum(axis=1) > LOADED, 4)
-        margin = float(support.margin(*map(jnp.asarray, (corner, active, self.zmp))))
+        with jax.enable_x64(True):
+            margin = float(support.margin(*map(jnp.asarray, (corner, active, self.zmp))))
         self.kept["zmp_margin"] = min(self.kept["zmp_margin"], margin)
 
 
