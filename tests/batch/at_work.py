@@ -26,6 +26,8 @@ def die_once(one, chunk, cache, *given):
 
 
 def facts(one, chunk, told):
+    if chunk.number == 7:
+        raise ZeroDivisionError("seven")
     told(0.5)
     threads = get_worker().state.nthreads
     folder = jax.config.values["jax_compilation_cache_dir"]

@@ -143,21 +143,24 @@ def test_without_distributed_one_line_says_what_to_install(one, monkeypatch):
 
 
 def test_a_worker_that_dies_is_replaced_and_its_chunk_walked_again(one, monkeypatch, tmp_path, capfd):
-    """The workers are processes that hear no Ctrl-C, and keep what they compile where this process does."""
+    """Workers are processes of one thread that hear no Ctrl-C, keep what they compile where this process does, and
+    leave it to this one to speak of errors."""
     monkeypatch.setattr(workers, "_walk", at_work.die_once)
+    monkeypatch.setattr(
+        "distributed.deploy.local.CPU_COUNT", 8
+    )  # threads of one worker, if nobody says how many
     monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "7")  # workers inherit it
-    before, heard = jax.config.values["jax_compilation_cache_dir"], []
+    before, done, heard = jax.config.values["jax_compilation_cache_dir"], [], []
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     try:
-        done = [
-            rows.row(0)
-            for _, rows in workers.on_dask(one, one.chunks, 1, None, lambda *told: heard.append(told))
-        ]
+        with pytest.raises(ZeroDivisionError, match="seven"):
+            for _, rows in workers.on_dask(one, one.chunks[4:], 1, None, lambda *told: heard.append(told)):
+                done.append(rows.row(0))
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
     assert (tmp_path / "died").exists()
-    assert sorted(done) == [(number, 1, str(tmp_path), 0.5, True) for number in range(8)]
-    assert sorted(heard, key=str) == [(chunk, 0.5) for chunk in sorted(one.chunks, key=str)]
+    assert sorted(done) == [(number, 1, str(tmp_path), 0.5, True) for number in (4, 5, 6)]
+    assert sorted((chunk.number, fraction) for chunk, fraction in heard) == [(i, 0.5) for i in (4, 5, 6)]
     assert capfd.readouterr().err == ""
 
 
