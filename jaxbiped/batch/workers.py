@@ -189,7 +189,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
             if scheduler is not None:
                 _greet(scheduler)
             where = scheduler or stack.enter_context(_cluster(workers))
-            yield stack.enter_context(Client(where, timeout=CONNECT_S, set_as_default=False))
+            yield stack.enter_context(Client(where, set_as_default=False))
     except (OSError, FutureCancelledError) as error:
         which, why = f"'{scheduler}'" if scheduler else "of this machine", " ".join(str(error).split())
         raise WorkersError(
