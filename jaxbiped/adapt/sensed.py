@@ -1,7 +1,5 @@
 """What the robot's sensors give: all that a controller ever learns of the world."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -34,7 +32,7 @@ class Sensed(eqx.Module):
     """The same seen from the pelvis, heading axes [m]."""
 
     @classmethod
-    def nothing(cls, time: Float[Array, ""], **felt: Any) -> "Sensed":
+    def nothing(cls, time: Float[Array, ""], **felt: Array) -> "Sensed":
         """The clock only: switches open for ever, all else zero, but for what is given."""
 
         def zeros(*shape: int) -> Array:

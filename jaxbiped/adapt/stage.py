@@ -7,11 +7,11 @@ acts in every control tick. `register` makes it known by name, to variant files,
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from jaxbiped.adapt.parameters import require_names
 from jaxbiped.adapt.sensed import Sensed
@@ -55,7 +55,7 @@ class Outcome(NamedTuple):
     """What it says."""
     kind: type = float
     """Of its values: float, int, bool or str."""
-    absent: Any = None
+    absent: bool | int | float | str | None = None
     """Value where the controller has not the stage; None is missing."""
 
 
@@ -72,17 +72,17 @@ class PlannedStage(eqx.Module):
 
     @classmethod
     @abstractmethod
-    def plan(cls, params: Any, gait: Gait) -> "PlannedStage":
+    def plan(cls, params: "Stage", gait: Gait) -> "PlannedStage":
         """Read off the plan what the stage needs of it."""
 
     @abstractmethod
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """State before the first tick."""
 
     @abstractmethod
     def step(
-        self, state: Any, gait: Gait, targets: Targets, sensed: Sensed, signals: Signals
-    ) -> tuple[Any, Targets, Signals]:
+        self, state: PyTree, gait: Gait, targets: Targets, sensed: Sensed, signals: Signals
+    ) -> tuple[PyTree, Targets, Signals]:
         """Adapt the targets of one control tick; pure.
 
         Args:
@@ -93,7 +93,7 @@ class PlannedStage(eqx.Module):
             signals: of the stages before this one; of those after it, from the last tick.
         """
 
-    def outcome(self, state: Any) -> dict[str, Array]:
+    def outcome(self, state: PyTree) -> dict[str, Array]:
         """The columns that `Stage.outcomes` declares, from the state at the end of a walk."""
         return {}
 
@@ -121,7 +121,7 @@ class Stage(eqx.Module):
     """Parameters that a variant reads off robot and plan where they are not given."""
 
     @classmethod
-    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: Any) -> "Stage":
+    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "Stage":
         """The parameters of a named variant, some of them changed.
 
         Raises:

@@ -128,7 +128,7 @@ class _Crew:
     Nothing is on a worker only: the scheduler holds the experiment too, and whoever is left gets it again.
     """
 
-    def __init__(self, client: Any, experiment: Experiment, told: Within):
+    def __init__(self, client: Any, experiment: Experiment, told: Within):  # noqa: ANN401
         self.client, self.run = client, uuid.uuid4().hex  # of this run: others may use the same scheduler
         self.told, self.heard = told, queue.SimpleQueue()  # of finished chunks, and of how far the others are
         client.subscribe_topic(self.run, self.heard.put)
@@ -151,7 +151,7 @@ class _Crew:
         future.release()
         return chunk, rows
 
-    def _next_future(self) -> Any:
+    def _next_future(self) -> Any:  # noqa: ANN401
         last_seen = time.monotonic()
         while True:
             with contextlib.suppress(queue.Empty):
@@ -189,7 +189,7 @@ def _loss_as_error(scheduler: str | None) -> Generator[None, None, None]:
         raise WorkersError(f"workers: the scheduler {which} cannot be reached or was lost ({why})") from error
 
 
-def _distributed() -> Any:
+def _distributed() -> Any:  # noqa: ANN401
     try:
         import distributed
     except ImportError:

@@ -1,7 +1,5 @@
 """The whole robot: poses of the 13 links, and the two legs' joint angles at once."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -74,7 +72,7 @@ def joint_angles(
     Returns:
         Angles (2, 6) [rad] and the status (2,) of `leg.inverse`.
     """
-    rotation: Any = jnp.broadcast_to(jnp.eye(3, dtype=p_pelvis_sole.dtype), (2, 3, 3))
+    rotation: Float[Array, "2 3 3"] = jnp.broadcast_to(jnp.eye(3, dtype=p_pelvis_sole.dtype), (2, 3, 3))
     if rot_pelvis_sole is not None:
         rotation = rot_pelvis_sole
     found = jax.vmap(leg.inverse, (None, 0, 0, 0))(robot, jnp.arange(2), p_pelvis_sole, rotation)

@@ -6,10 +6,10 @@ out by a factor of 4 or more from step to step, so that of a long walk only the 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
 
 from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity
@@ -83,7 +83,7 @@ def require_reach(robot: RobotParams, gait: Plan) -> None:
     _require_reach(robot, gait, _Sampled.of(robot, gait))
 
 
-def check_arguments(friction: Any, allow_infeasible: Any) -> tuple[Any, bool]:
+def check_arguments(friction: float, allow_infeasible: object) -> tuple[float, bool]:
     """Return both arguments of `make` and `preset`, or raise a GaitError."""
     friction = Quantity("", 0.01, 5.0).check("friction", friction, GaitError)
     return friction, checked.Flag().check("allow_infeasible", allow_infeasible, GaitError)
@@ -117,7 +117,7 @@ class _Sampled:
         """Status of each leg's inverse kinematics at all times."""
         return self._map(_statuses, np.arange(len(self.time)))
 
-    def _map(self, function: Callable[[RobotParams, Targets], Any], rows: np.ndarray) -> Any:
+    def _map(self, function: Callable[[RobotParams, Targets], PyTree], rows: np.ndarray) -> PyTree:
         padded = np.pad(rows, (0, -len(rows) % _BLOCK), mode="edge")
         blocks = [
             function(self.robot, jax.tree.map(lambda leaf: leaf[block], self.targets))  # noqa: B023
@@ -143,13 +143,13 @@ def _times(gait: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 @runtime.jit
-def _targets(gait: Any, times: Any) -> Targets:
+def _targets(gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Targets:
     return jax.vmap(lambda t: at(gait, t))(times)
 
 
 @runtime.jit
-def _statuses(robot: RobotParams, targets: Targets) -> Any:
-    def one(task: TaskSpace) -> Any:
+def _statuses(robot: RobotParams, targets: Targets) -> Int[Array, "n 2"]:
+    def one(task: TaskSpace) -> Int[Array, "2"]:
         return joint_angles(robot, task.sole - task.pelvis)[1]
 
     return jax.vmap(one)(targets.position)
@@ -185,7 +185,13 @@ Words = Callable[[str, float, float, tuple[int, ...]], tuple[str, str]]
 """Name of the constraint, value, limit, place -> what was got, what is allowed."""
 
 
-def _worst(time: np.ndarray, name: str, value: Any, least: Any, words: Words) -> Violation | None:
+def _worst(
+    time: np.ndarray,
+    name: str,
+    value: Float[Array | np.ndarray, "..."] | float,
+    least: Float[Array | np.ndarray, "..."] | float,
+    words: Words,
+) -> Violation | None:
     """Where value >= least is broken by the largest fraction; upper bounds come with a minus sign."""
     value, least = np.broadcast_arrays(np.asarray(value, float), np.asarray(least, float))
     scale = np.where((least != 0.0) & np.isfinite(least), np.abs(least), 1.0)

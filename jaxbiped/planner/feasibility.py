@@ -1,6 +1,6 @@
 """Can this robot walk this plan? ZMP, friction, torque, speed, knee of the multibody model (khadiv 2.2)."""
 
-from typing import Any
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -56,7 +56,7 @@ class Feasibility(eqx.Module):
         return self.angle[..., KNEE]
 
 
-def motion_of(robot: RobotParams, task: Any) -> Motion:
+def motion_of(robot: RobotParams, task: Callable[[Float[Array, ""]], TaskSpace]) -> Motion:
     """The motion of all links that follows a function time -> TaskSpace, pelvis upright and soles level."""
 
     def motion(t: Float[Array, ""]):
@@ -135,7 +135,7 @@ def instant(robot: RobotParams, gait: Plan | Frozen, t: Float[Array, ""]) -> Fea
 
 
 @runtime.jit
-def feasibility(robot: RobotParams, gait: Any, times: Float[Array, " n"]) -> Feasibility:
+def feasibility(robot: RobotParams, gait: Plan, times: Float[Array, " n"]) -> Feasibility:
     """What a gait takes at many times [s], as a leading axis. Differentiable in robot and gait."""
     return jax.vmap(lambda t: instant(robot, gait, t))(times)
 

@@ -37,7 +37,7 @@ class Gait(Plan, Protocol):
     """Records that its parameters hold; in folders of results their names come after that of the gait."""
 
     @property
-    def params(self) -> Any:
+    def params(self) -> Any:  # noqa: ANN401
         """What it was made from."""
         ...
 
@@ -57,7 +57,7 @@ class Gait(Plan, Protocol):
         ...
 
     @classmethod
-    def preset_params(cls, robot: str | RobotParams) -> Any:
+    def preset_params(cls, robot: str | RobotParams) -> Any:  # noqa: ANN401
         """The preset parameters for a robot."""
         ...
 
@@ -78,7 +78,7 @@ class Gait(Plan, Protocol):
     def make(
         cls,
         robot: RobotParams,
-        params: Any,
+        params: eqx.Module,
         n_steps: SupportsIndex,
         first_swing: SupportsIndex = LEFT,
         *,
@@ -99,18 +99,18 @@ class PlannedGait(eqx.Module):
     quantities: ClassVar[Mapping[str, Quantity]]
     parameters: ClassVar[type[eqx.Module]]
     records: ClassVar[Mapping[str, type[eqx.Module]]] = {}
-    params: eqx.AbstractVar[Any]
+    params: eqx.AbstractVar[eqx.Module]
     n_steps: eqx.AbstractVar[int]
     first_swing: eqx.AbstractVar[int]
 
     @classmethod
     @abstractmethod
-    def require_sane(cls, robot: RobotParams, params: Any) -> None:
+    def require_sane(cls, robot: RobotParams, params: eqx.Module) -> None:
         """Raise a GaitError for parameters within their bounds that cannot be meant together, or on this robot."""
 
     @classmethod
     @abstractmethod
-    def plan(cls: type[_Planned], params: Any, n_steps: int, first_swing: int) -> _Planned:
+    def plan(cls: type[_Planned], params: eqx.Module, n_steps: int, first_swing: int) -> _Planned:
         """The walk of these parameters; pure."""
 
     @property
@@ -137,7 +137,7 @@ class PlannedGait(eqx.Module):
         return jnp.zeros((), jnp.result_type(float))
 
     @classmethod
-    def preset_params(cls, robot: str | RobotParams) -> Any:
+    def preset_params(cls, robot: str | RobotParams) -> Any:  # noqa: ANN401
         """The preset parameters for a preset robot, by its name, or for one that walks like it.
 
         Raises:
@@ -177,7 +177,7 @@ class PlannedGait(eqx.Module):
     def make(
         cls: type[_Planned],
         robot: RobotParams,
-        params: Any,
+        params: eqx.Module,
         n_steps: SupportsIndex,
         first_swing: SupportsIndex = LEFT,
         *,

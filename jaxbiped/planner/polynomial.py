@@ -7,7 +7,7 @@ conditioned in float32.
 
 from collections.abc import Sequence
 from math import factorial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,7 +28,7 @@ def as_scalar(value: Scalar) -> Float[Array, ""]:
         return jnp.asarray(value, jnp.result_type(float))
 
 
-def as_scalar_or_none(value: Any) -> Any:
+def as_scalar_or_none(value: Scalar | None) -> Float[Array, ""] | None:
     """The same, but for None."""
     return None if value is None else as_scalar(value)
 

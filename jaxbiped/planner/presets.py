@@ -8,7 +8,7 @@ import functools
 from collections.abc import Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 
@@ -16,6 +16,8 @@ from jaxbiped import checked
 from jaxbiped.checked import Quantity
 from jaxbiped.planner.checks import GaitError
 from jaxbiped.robot import Number, RobotParams, read_number
+
+Record = TypeVar("Record", bound=eqx.Module)
 
 
 @runtime_checkable
@@ -52,7 +54,7 @@ class Preset:
     infeasible: str
     """Why it breaks a constraint although it is a preset; empty if it is not known to."""
 
-    def parameters(self, record: type[eqx.Module]) -> Any:
+    def parameters(self, record: type[Record]) -> Record:
         """The parameters as the record of their gait."""
         return record_of(record, {name: float(number.value) for name, number in self.numbers.items()})
 
@@ -131,7 +133,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def record_of(record: type[eqx.Module], values: Mapping[str, float], prefix: str = "") -> Any:
+def record_of(record: type[Record], values: Mapping[str, float], prefix: str = "") -> Record:
     """A record of numbers, and of records of numbers, by their dotted names."""
     made = {}
     for field in dataclasses.fields(record):

@@ -21,18 +21,18 @@ MAX_TICKS = 1000
 """Physics ticks in a control tick, at most."""
 
 
-def _gait(name: str, given: Any, error: type[Refusal]) -> str:
+def _gait(name: str, given: object, error: type[Refusal]) -> str:
     """The name of a gait, which the planner knows."""
     if not isinstance(given, str) or not given.isidentifier():
         raise error(f"{name}: got {shown(given)}, allowed: the name of a gait")
     return given
 
 
-def _ticks(name: str, given: Any, error: type[Refusal]) -> int:
+def _ticks(name: str, given: object, error: type[Refusal]) -> int:
     return checked.whole(name, given, 1, MAX_TICKS, error)
 
 
-_SIMULATION: dict[str, Callable[[str, Any, type[Refusal]], Any]] = {
+_SIMULATION: dict[str, Callable[[str, object, type[Refusal]], object]] = {
     "control_every": _ticks,
     "feed_forward": Flag().check,
     "payload_model": Word(("exact", "thesis")).check,
@@ -65,7 +65,7 @@ class Defaults:
         }
 
 
-def read(document: Mapping[str, Any]) -> Defaults:
+def read(document: Mapping[str, object]) -> Defaults:
     """Read the tables of a robot file.
 
     Raises:
@@ -98,7 +98,7 @@ def require_same(given: Defaults, preset: Defaults, walks_like: str) -> None:
             )
 
 
-def _table(name: str, table: Any) -> dict[str, Any]:
+def _table(name: str, table: object) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise RobotFileError(f"{name}: got {shown(table)}, allowed: a table [{name}]")
     return table

@@ -134,7 +134,7 @@ def _file(name_or_path: str | Path) -> Traversable:
     return path
 
 
-def _read_all(document: dict[str, Any]) -> dict[str, Any]:
+def _read_all(document: dict[str, object]) -> dict[str, Any]:
     """Check the whole document; returns its numbers by dotted field name, `name` and `walks_like`."""
     known = ("name", "walks_like", "trunk", "leg", *_SECTIONS, *beside.TABLES)
     checked.refuse_unknown("", document, known, RobotFileError)
@@ -155,7 +155,7 @@ def _read_all(document: dict[str, Any]) -> dict[str, Any]:
     return read
 
 
-def _name(document: dict[str, Any]) -> str:
+def _name(document: dict[str, object]) -> str:
     """Its name, which is written into titles, other files and models."""
     name = document.get("name")
     if not isinstance(name, str) or not name.strip():
@@ -168,7 +168,7 @@ def _name(document: dict[str, Any]) -> str:
     return name
 
 
-def _walks_like(document: dict[str, Any], name: str) -> str:
+def _walks_like(document: dict[str, object], name: str) -> str:
     """The preset whose gaits and simulation options fit; of a preset itself its own name."""
     if "walks_like" not in document:
         return name if name in presets() else ""

@@ -91,7 +91,7 @@ class RobotParams(eqx.Module):
         return self.walks_like or self.name
 
     @property
-    def total_mass(self) -> Any:
+    def total_mass(self) -> Float[HostOrDevice, "*batch"]:
         """Mass of the whole robot [kg]."""
         return self.links.mass.sum(-1)
 

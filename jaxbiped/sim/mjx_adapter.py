@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, PyTree
 
 with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its optional GPU back end is missing
     from mujoco import mjx
@@ -29,6 +30,8 @@ from jaxbiped.sim.spatial import Links
 
 TRUNK, PAYLOAD = BIPED.trunk, BIPED.payload
 """Numbers of bodies in the model."""
+Model = mjx.Model
+"""MJX's model of a robot."""
 
 
 class BodyMotion(eqx.Module):
@@ -57,7 +60,7 @@ class BodyMotion(eqx.Module):
     """Coriolis, centrifugal and gravity forces; `mass_matrix @ qacc + bias` = applied forces."""
 
 
-def base_model(robot: RobotParams) -> Any:
+def base_model(robot: RobotParams) -> Model:
     """MJX model of the nominal robot with an empty payload body welded to the trunk."""
     spec = build_spec(robot)
     _add_payload(spec)
@@ -88,21 +91,21 @@ def _add_payload(spec: mujoco.MjSpec) -> None:
 
 
 def with_masses(
-    model: Any,
+    model: Model,
     mass: Float[Array, " body"],
     com: Float[Array, "body 3"],
     inertia: Float[Array, "body 3"],
-) -> Any:
+) -> Model:
     """The model with other masses [kg], centres of mass [m] and principal inertias [kg m2], numbered as bodies."""
     return model.replace(body_mass=mass, body_ipos=com, body_inertia=inertia)
 
 
-def masses(model: Any) -> tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]:
+def masses(model: Model) -> tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]:
     """Mass, centre of mass and principal inertias of every body."""
     return model.body_mass, model.body_ipos, model.body_inertia
 
 
-def motion(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
+def motion(model: Model, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
     """Kinematics, composite inertia and Newton-Euler bias of MJX at one state.
 
     Differentiated by how the links move with the joints (`spatial`), not through MJX; by the masses through MJX.
@@ -110,7 +113,7 @@ def motion(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> 
     return _motion(model, qpos, qvel)
 
 
-def _through_mjx(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
+def _through_mjx(model: Model, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
     data = mjx.make_data(model).replace(qpos=qpos, qvel=qvel)
     data = smooth.kinematics(model, data)
     data = smooth.com_pos(model, data)
@@ -120,7 +123,7 @@ def _through_mjx(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"
     return _read(data)
 
 
-def _read(data: Any) -> BodyMotion:
+def _read(data: mjx.Data) -> BodyMotion:
     """What is read off MJX's data after its smooth dynamics."""
     return BodyMotion(
         p_world_foot=data.xpos[BIPED.feet],
@@ -130,8 +133,8 @@ def _read(data: Any) -> BodyMotion:
         twist_foot=data.cvel[BIPED.feet],
         centre=data.subtree_com[TRUNK],
         dof_axes=data.cdof,
-        link_inertia=data._impl.cinert[BIPED.links].at[0].add(data._impl.cinert[PAYLOAD]),
-        mass_matrix=data._impl.M,
+        link_inertia=data._impl.cinert[BIPED.links].at[0].add(data._impl.cinert[PAYLOAD]),  # pyright: ignore[reportAttributeAccessIssue]
+        mass_matrix=data._impl.M,  # pyright: ignore[reportAttributeAccessIssue]
         bias=data.qfrc_bias,
     )
 
@@ -140,7 +143,10 @@ _motion = jax.custom_jvp(_through_mjx)
 
 
 @functools.partial(_motion.defjvp, symbolic_zeros=True)
-def _motion_jvp(primals: Any, tangents: Any) -> tuple[BodyMotion, BodyMotion]:
+def _motion_jvp(
+    primals: tuple[Model, Float[Array, " nq"], Float[Array, " nv"]],
+    tangents: tuple[PyTree, PyTree, PyTree],
+) -> tuple[BodyMotion, BodyMotion]:
     model, qpos, qvel = primals
     body = _motion(model, qpos, qvel)
     d_qpos, d_qvel = (_instantiate(t, p) for t, p in zip(tangents[1:], primals[1:], strict=True))
@@ -153,12 +159,12 @@ def _motion_jvp(primals: Any, tangents: Any) -> tuple[BodyMotion, BodyMotion]:
     return body, jax.tree.map(jnp.add, d_body, by_model)
 
 
-def _is_zero(tangent: Any) -> bool:
+def _is_zero(tangent: object) -> bool:
     """Whether JAX knows that a tangent is zero."""
     return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
 
 
-def _instantiate(tangent: Any, primal: Any) -> Any:
+def _instantiate(tangent: jax.custom_derivatives.SymbolicZero | ArrayLike, primal: ArrayLike) -> Any:  # noqa: ANN401
     """The tangent itself, or zeros in its place."""
     if not _is_zero(tangent):
         return tangent
@@ -175,7 +181,7 @@ def _as_velocity(qpos: Float[Array, " nq"], d_qpos: Float[Array, " nq"]) -> Floa
 
 
 def _moved(
-    model: Any,
+    model: Model,
     body: BodyMotion,
     qvel: Float[Array, " nv"],
     shift: Float[Array, " nv"],
@@ -247,7 +253,7 @@ def trunk_force(body: BodyMotion, moment: Float[Array, "3"], force: Float[Array,
 
 
 def integrate(
-    model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], dt: float
+    model: Model, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], dt: float
 ) -> Float[Array, " nq"]:
     """Move qpos along qvel for dt [s] (the quaternion by its exponential)."""
     return _integrate_pos(model.jnt_type, qpos, qvel, jnp.asarray(dt, qpos.dtype))
@@ -340,7 +346,7 @@ class NativeStep(eqx.Module):
     """Of the actuators [N m]."""
 
 
-def contact_model(spec: mujoco.MjSpec, iterations: int) -> Any:
+def contact_model(spec: mujoco.MjSpec, iterations: int) -> Model:
     """MJX model with contacts, without joint limits, of a spec to which an empty payload body is added."""
     _add_payload(spec)
     spec.option.iterations, spec.option.ls_iterations = iterations, 2 * iterations
@@ -351,7 +357,7 @@ def contact_model(spec: mujoco.MjSpec, iterations: int) -> Any:
 
 
 def native_step(
-    model: Any,
+    model: Model,
     corner_geom: np.ndarray,
     qpos: Float[Array, " nq"],
     qvel: Float[Array, " nv"],

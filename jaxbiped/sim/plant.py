@@ -1,7 +1,5 @@
 """The simulated robot in one scenario: its masses over time, and the forces that act on it."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,7 +41,7 @@ class Plant(eqx.Module):
 
     robot: RobotParams
     """The robot as the planner knows it."""
-    model: Any
+    model: mjx_adapter.Model
     """Its MJX model."""
     world: World
     """What it walks in."""
@@ -69,7 +67,9 @@ class Plant(eqx.Module):
         return self.world.after
 
 
-def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model: str = EXACT) -> Plant:
+def make_plant(
+    robot: RobotParams, model: mjx_adapter.Model, scenario: Scenario, payload_model: str = EXACT
+) -> Plant:
     """Apply a scenario's model errors and payload to the nominal robot.
 
     The payload's body is in its place from the start, without mass: only masses and inertias change while it comes.
@@ -133,7 +133,9 @@ def motion_at_rest(plant: Plant, qpos: Float[Array, " nq"]) -> BodyMotion:
     return _motion(plant, qpos, jnp.zeros(BIPED.nv, qpos.dtype), carried)
 
 
-def _motion(plant: Plant, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], share: Any) -> BodyMotion:
+def _motion(
+    plant: Plant, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], share: Float[Array, ""]
+) -> BodyMotion:
     return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *masses(plant, share)), qpos, qvel)
 
 
@@ -193,7 +195,9 @@ def acceleration(forces: Forces) -> Float[Array, " nv"]:
 
 
 @acceleration.defjvp
-def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, " nv"], Float[Array, " nv"]]:
+def _acceleration_jvp(
+    primals: tuple[Forces], tangents: tuple[Forces]
+) -> tuple[Float[Array, " nv"], Float[Array, " nv"]]:
     # One elimination for the acceleration and all its tangents.
     inverse = mjx_adapter.inverse(_matrix(*primals))
     qacc = inverse.times(_force(*primals))

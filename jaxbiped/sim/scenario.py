@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity, Refusal
-from jaxbiped.planner import Gait, at, is_concrete
+from jaxbiped.planner import Gait, Plan, at, is_concrete
 from jaxbiped.robot import LINK_NAMES, SIDE_NAMES, RobotParams
 
 Scalar = Float[Array, "*batch"]
@@ -60,7 +60,7 @@ RANGES: dict[str, Quantity] = {
 """What the numbers of a scenario may be, by the names of the columns of a scenario table."""
 
 
-def _array(value: Any) -> Any:
+def _array(value: object) -> Float[Array, "..."]:
     return jnp.asarray(value, jnp.result_type(float))
 
 
@@ -199,7 +199,7 @@ class Scenario(eqx.Module):
             ),
         )
 
-    def with_rectangle(self, lower: Any, upper: Any, height: Any) -> "Scenario":
+    def with_rectangle(self, lower: Any, upper: Any, height: Any) -> "Scenario":  # noqa: ANN401
         """Add a level rectangle.
 
         Args:
@@ -232,7 +232,9 @@ class Scenario(eqx.Module):
         )
         return eqx.tree_at(lambda s: s.terrain, self, new)
 
-    def with_obstacle(self, robot: RobotParams, gait: Gait, step: SupportsIndex, height: Any) -> "Scenario":
+    def with_obstacle(
+        self, robot: RobotParams, gait: Gait, step: SupportsIndex, height: object
+    ) -> "Scenario":
         """Put a pad under the foothold of step number `step` (0 is the first), in that foot's lane only.
 
         The pad reaches PAD_BEHIND behind the heel, since a foot that touches early lands short, and PAD_AROUND beyond
@@ -257,7 +259,7 @@ class Scenario(eqx.Module):
         if (used & (low < upper).all(axis=-1) & (lower < high).all(axis=-1)).any():
             raise Refusal(f"step {step}: got an obstacle that overlaps another one, allowed: obstacles apart")
 
-    def with_payload(self, mass: Any, time: Any, end: Any = NEVER) -> "Scenario":
+    def with_payload(self, mass: object, time: Any, end: Any = NEVER) -> "Scenario":  # noqa: ANN401
         """Attach a load to the front of the trunk.
 
         Args:
@@ -278,7 +280,7 @@ class Scenario(eqx.Module):
         new = (_array(mass), _array(time), _array(end))
         return eqx.tree_at(lambda s: (s.payload.mass, s.payload.time, s.payload.end), self, new)
 
-    def with_push(self, force: Any, start: Any, length: Any) -> "Scenario":
+    def with_push(self, force: object, start: object, length: object) -> "Scenario":
         """Push the trunk with a force (3,) [N] from `start` for `length` [s].
 
         Raises:
@@ -289,7 +291,7 @@ class Scenario(eqx.Module):
         length = RANGES["push_length_s"].check("push length", length)
         return eqx.tree_at(lambda s: s.push, self, Push(force=force, start=start, length=length))
 
-    def with_friction(self, friction: Any) -> "Scenario":
+    def with_friction(self, friction: object) -> "Scenario":
         """Change the friction coefficient.
 
         Raises:
@@ -319,7 +321,7 @@ def swing_height(gait: Gait, step: SupportsIndex = 0) -> float:
     return _swing(gait, step)[2]
 
 
-def require_swing_clears(gait: Gait, heights: Mapping[Any, Any]) -> None:
+def require_swing_clears(gait: Gait, heights: Mapping[Any, object]) -> None:
     """Refuse an obstacle under a foothold that is as high as the swing foot goes, or higher.
 
     Args:
@@ -375,7 +377,7 @@ def require_clear_start(robot: RobotParams, gait: Gait, terrain: Terrain) -> Non
             )
 
 
-def _swing(gait: Gait, step: Any) -> tuple[int, np.ndarray, float]:
+def _swing(gait: Gait, step: SupportsIndex) -> tuple[int, np.ndarray, float]:
     """The foot that lands in a step, both soles then (2, 3) [m], and how high the foot goes before it [m]."""
     number = checked.whole("step", step, 0, gait.timing.n_steps - 1)
     with jax.ensure_compile_time_eval():
@@ -384,14 +386,14 @@ def _swing(gait: Gait, step: Any) -> tuple[int, np.ndarray, float]:
 
 
 @runtime.jit
-def _start(gait: Any) -> Float[Array, "2 3"]:
+def _start(gait: Plan) -> Float[Array, "2 3"]:
     """Both soles at the start of a walk."""
     return gait.task(jnp.zeros((), jnp.result_type(float))).sole
 
 
 @runtime.jit
 def _foothold(
-    gait: Any, step: Int[Array, ""]
+    gait: Plan, step: Int[Array, ""]
 ) -> tuple[Int[Array, ""], Float[Array, "2 3"], Float[Array, ""]]:
     """The foot that lands in a step, both soles then, and the height of the swing foot in the middle of the step."""
     timing = gait.timing

@@ -1,7 +1,5 @@
 """From the simulated world to `Sensed`: what the robot's own sensors would say."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -119,7 +117,7 @@ class _Noise(eqx.Module):
     """[rad]"""
 
 
-def _draw_noise(faults: SensorFaults, tick: Int[Array, ""], dtype: Any) -> _Noise:
+def _draw_noise(faults: SensorFaults, tick: Int[Array, ""], dtype: np.dtype) -> _Noise:
     keys = jax.random.split(jax.random.fold_in(jax.random.key(faults.seed), tick), 3)
     return _Noise(
         force=faults.force_noise * jax.random.normal(keys[0], (2, 4), dtype),

@@ -2,19 +2,19 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from jaxbiped.adapt import Controller, ControllerState, Sensed
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at
 from jaxbiped.robot import RobotParams
 from jaxbiped.robot.layout import BIPED
-from jaxbiped.sim import equilibrium, feed_forward, ground, plant, sensors, statistics
+from jaxbiped.sim import equilibrium, feed_forward, ground, mjx_adapter, plant, sensors, statistics
 from jaxbiped.sim.feed_forward import FeedForward
 from jaxbiped.sim.options import COMPLIANT, MJX, Options
 from jaxbiped.sim.physics import compliant, mjx_contacts
@@ -115,7 +115,7 @@ class PureSimulation(eqx.Module):
     """Nominal."""
     controller: Controller
     """Gait and adaptation."""
-    model: Any
+    model: mjx_adapter.Model
     """MJX model of the robot."""
     torque: FeedForward
     """Feed-forward torques of the plan."""
@@ -216,7 +216,7 @@ class PureSimulation(eqx.Module):
                 assert isinstance(ticks, int)
                 rows, ticks = ticks // options.trace_every, ticks - ticks % options.trace_every
 
-        def advance(carry: tuple[State, Any]) -> tuple[tuple[State, Any], Sample]:
+        def advance(carry: tuple[State, PyTree]) -> tuple[tuple[State, PyTree], Sample]:
             state, total = carry
             state, sample = self.tick(state)
             if rate is not None:

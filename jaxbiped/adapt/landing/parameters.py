@@ -116,7 +116,7 @@ class Landing(Stage):
     )
 
     @classmethod
-    def paper(cls, **parameters: Any) -> "Landing":
+    def paper(cls, **parameters: Any) -> "Landing":  # noqa: ANN401
         """Eqs. 6-16 to the letter: every switch off that is not given.
 
         Raises:
@@ -127,12 +127,12 @@ class Landing(Stage):
         return cls(**{**dict.fromkeys(switches(cls), False), **parameters})
 
     @classmethod
-    def repaired(cls, **parameters: Any) -> "Landing":
+    def repaired(cls, **parameters: Any) -> "Landing":  # noqa: ANN401
         """With every repair that is not switched off; errors as of `paper`."""
         require_names(cls, parameters)
         return cls(**parameters)
 
     @classmethod
-    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: Any) -> "Landing":
+    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "Landing":
         """`paper` or `repaired`, and errors as from there."""
         return {"paper": cls.paper, "repaired": cls.repaired}[variant](**parameters)

@@ -4,6 +4,7 @@
 listed in docs/papers.md; in `repaired` every repair is a switch of its own.
 """
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -217,13 +218,13 @@ class PayloadReflex(Stage):
                 )
 
     @classmethod
-    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
         """`original`, `modified` or `repaired`, and errors as from there."""
         make = {"original": cls.original, "modified": cls.modified, "repaired": cls.repaired}
         return make[variant](robot, gait, **parameters)
 
     @classmethod
-    def original(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+    def original(cls, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
         """Eqs. 3.7-3.40: settling 2 s.
 
         Raises:
@@ -233,12 +234,12 @@ class PayloadReflex(Stage):
         return cls._literal(robot, gait, {"x_reflex": X_REFLEX_ORIGINAL, "settling_time": 2.0, **parameters})
 
     @classmethod
-    def modified(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+    def modified(cls, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
         """With Eqs. 4.5, 4.6 and settling 4 s; errors as of `original`."""
         return cls._literal(robot, gait, {"x_reflex": X_REFLEX_MODIFIED, "settling_time": 4.0, **parameters})
 
     @classmethod
-    def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
+    def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":  # noqa: ANN401
         """With every repair; the feet stay where they are or come down. Errors as of `original`."""
         require_names(cls, parameters)
         ours = {"x_reflex": X_REFLEX_NONE, "reflex_time": 0.5}
@@ -253,7 +254,7 @@ class PayloadReflex(Stage):
         return cls(**{**_of_plan(robot, gait, parameters), **off, **parameters})
 
 
-def _of_plan(robot: RobotParams, gait: Gait, given: dict[str, Any]) -> dict[str, Scalar]:
+def _of_plan(robot: RobotParams, gait: Gait, given: Mapping[str, object]) -> dict[str, Scalar]:
     """What a robot and its plan say about the parameters that are not given."""
     says = {
         "zmp_balanced": lambda: standing_zmp(robot, gait),

@@ -5,7 +5,6 @@ are MJX's; masses are those of the compliant ground. It is slower by an order of
 """
 
 import dataclasses
-from typing import Any
 
 import jax.numpy as jnp
 import mujoco
@@ -40,7 +39,7 @@ _AWAY = -100.0
 """Height at which unused boxes are parked [m]."""
 
 
-def base_model(robot: RobotParams, rectangles: int, timestep: float) -> Any:
+def base_model(robot: RobotParams, rectangles: int, timestep: float) -> mjx_adapter.Model:
     """MJX model of the nominal robot with room for `rectangles` boxes; timestep [s]."""
     spec = build_spec(robot, timestep)
     for i in range(rectangles):
@@ -114,7 +113,7 @@ def _push(world: Plant, time: Float[Array, ""], dt: float) -> Float[Array, "3"]:
     return jnp.clip(overlap / dt, 0.0, 1.0) * push.force
 
 
-def _model_now(world: Plant, time: Float[Array, ""], dt: float) -> Any:
+def _model_now(world: Plant, time: Float[Array, ""], dt: float) -> mjx_adapter.Model:
     """The model with this tick's masses, and the scenario's gains, friction, stiffness and boxes."""
     masses = plant.masses(world, world.scenario.payload.share(time, dt))
     model = mjx_adapter.with_masses(world.model, *masses)
