@@ -34,7 +34,7 @@ class Controller(eqx.Module):
     gait: Gait
     """The planned walk."""
     stages: tuple[PlannedStage, ...]
-    """In the order in which they act: first those that decide which step is made."""
+    """The planned stages in the order in which they act: first those that decide which step is made."""
 
     def __init__(self, gait: Gait, *stages: Stage | None):
         """Plan the stages for the gait.

@@ -22,7 +22,7 @@ class Tune:
     low: float
     high: float
     note: str = ""
-    """The paper's own value."""
+    """The paper's own value of the parameter."""
     entries: Mapping[str, tuple[int, ...]] | None = None
     """Names of single entries and their places, if the parameter is a table."""
 

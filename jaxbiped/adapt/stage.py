@@ -33,28 +33,28 @@ class Signals(eqx.Module):
     """Whether a foot has just touched down, or is overdue: foot forces say little about the weight. Said anew in every
     tick by the one stage that watches the feet; nobody else takes it back."""
     interruptions: Int[Array, ""]
-    """How often the walk has been interrupted."""
+    """Number of interruptions of the walk."""
     interrupted_time: Scalar
-    """When the last interruption began [s]."""
+    """Time at which the last interruption began [s]."""
     resume_time: Scalar
-    """When the walk went on after it [s]."""
+    """Time at which the walk went on after the last interruption [s]."""
     next_step: Int[Array, ""]
-    """Number of the plan's step with which it goes on."""
+    """Number of the plan's step with which the walk goes on."""
 
     @classmethod
     def none(cls) -> "Signals":
-        """Before the first tick: the plan is being walked, and nothing has happened."""
+        """Signals before the first tick: the plan is being walked, and nothing has happened."""
         zero, count = jnp.zeros((), jnp.result_type(float)), jnp.zeros((), jnp.int32)
         return cls(zero, jnp.ones((), bool), jnp.zeros((), bool), count, zero, zero, count)
 
 
 class Outcome(NamedTuple):
-    """A declared column of what came of a walk."""
+    """A declared column of the outcome of a walk."""
 
     text: str
-    """What it says."""
+    """Description of the column."""
     kind: type = float
-    """Of its values: float, int, bool or str."""
+    """Type of the values: float, int, bool or str."""
     absent: bool | int | float | str | None = None
     """Value where the controller has not the stage; None is missing."""
 
@@ -63,7 +63,7 @@ class PlannedStage(eqx.Module):
     """A stage for one planned walk."""
 
     params: eqx.AbstractVar["Stage"]
-    """Parameters."""
+    """Parameters of the stage."""
 
     @property
     def name(self) -> str:
@@ -106,17 +106,17 @@ class Stage(eqx.Module):
     """The parameters of a stage, and what belongs to it."""
 
     name: ClassVar[str]
-    """What it is called: in variant files, of tunables, in a controller."""
+    """Name of the stage in variant files, of tunables and in a controller."""
     record: ClassVar[str] = ""
-    """What its records are called in folders of results; its name if empty."""
+    """Name of the stage's records in folders of results; the stage's name if empty."""
     planned: ClassVar[type[PlannedStage]]
     """The stage that is planned with these parameters."""
     replans: ClassVar[bool] = False
-    """Whether it decides which step is made; such stages act before those that fit a step to the ground."""
+    """Whether the stage decides which step is made; such stages act before those that fit a step to the ground."""
     variants: ClassVar[tuple[str, ...]] = ("default",)
     """Names that `named` knows."""
     outcomes: ClassVar[Mapping[str, Outcome]] = {}
-    """Its columns in the results table."""
+    """Columns of the stage in the results table."""
     read_off_plan: ClassVar[tuple[str, ...]] = ()
     """Parameters that a variant reads off robot and plan where they are not given."""
 

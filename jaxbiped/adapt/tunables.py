@@ -1,4 +1,4 @@
-"""What can be tuned: the few numbers of the adaptation, each with bounds, unit and the papers' default.
+"""Tunables: the few numbers of the adaptation, each with bounds, unit and the papers' default.
 
 A name is `landing.T_mod`, `payload.settling_time`, `gait.D_s` or `gait.start_stop.x_s_first`. Defaults are those of
 the variant that is tuned.
@@ -24,9 +24,9 @@ from jaxbiped.planner.polynomial import as_scalar
 from jaxbiped.robot import RobotParams
 
 GAIT_ROOM = 0.3
-"""How far a gait's parameter may go from where it is, as a share of it."""
+"""Range of a gait's parameter around its value, as a share of the value."""
 SMALLEST = 0.01
-"""What that share is taken of where the parameter is smaller than this, in its unit."""
+"""Smallest value of which GAIT_ROOM is taken as a share, in the parameter's unit."""
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,11 @@ from jaxbiped.planner.constraints import OR_ALLOW
 from jaxbiped.robot import RobotParams
 
 OFF = "off"
-"""Base of a stage that is not there."""
+"""Base of a stage that is off."""
 GAIT, ORIGIN = "gait", "origin"
 ALLOW_KEY, ALLOW = "allow_infeasible", Flag("the plan may break a constraint of khadiv section 2.2")
 Tables = dict[str, dict[str, Any]]
-"""What a file says, by the name of the table."""
+"""Tables of a file, by their names."""
 
 
 def load(path: Path, robot: RobotParams, gait: Gait, allow_infeasible: bool = False) -> Controller:

@@ -10,7 +10,7 @@ from jaxbiped.robot import JOINT_AXES, LEFT, RIGHT, RobotParams, on_device
 
 
 class BodyPose(eqx.Module):
-    """Where every link and sole is, in the world."""
+    """Places and orientations of all links and soles in the world."""
 
     p_world_link: Float[Array, "*batch link 3"]
     """Origins of the link frames [m]."""
@@ -52,12 +52,12 @@ def pose(
 
 
 def com_of_links(robot: RobotParams, body: BodyPose) -> Float[Array, "link 3"]:
-    """Centre of mass of every link in the world [m]."""
+    """Center of mass of every link in the world [m]."""
     return body.p_world_link + jnp.einsum("nij,nj->ni", body.rot_world_link, on_device(robot).links.com)
 
 
 def com(robot: RobotParams, body: BodyPose) -> Float[Array, "3"]:
-    """Centre of mass of the robot in the world [m]."""
+    """Center of mass of the robot in the world [m]."""
     robot = on_device(robot)
     return robot.links.mass @ com_of_links(robot, body) / robot.total_mass
 

@@ -20,7 +20,7 @@ class GaitError(checked.Refusal):
 
 
 def is_concrete(*trees: object) -> bool:
-    """Whether every leaf has a known value: false under jit, vmap or differentiation."""
+    """Tell whether every leaf has a known value: false under jit, vmap or differentiation."""
     return checked.is_known(trees)
 
 

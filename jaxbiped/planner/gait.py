@@ -1,4 +1,4 @@
-"""What a gait is to the rest of the package, the registry of gaits, and the gait of a robot's own paper.
+"""The interface of a gait to the rest of the package, the registry of gaits, and the gait of a robot's own paper.
 
 A third gait is one file with a class that is registered here, and a file of numbers for every robot that has a preset.
 """
@@ -25,12 +25,12 @@ Scalar = Float[Array, ""]
 
 @runtime_checkable
 class Gait(Plan, Protocol):
-    """All that the package uses of a gait: the plan, what it was made from, and how another one is made."""
+    """Everything that the package uses of a gait: the plan, its parameters, and how another one is made."""
 
     name: ClassVar[str]
-    """What it is called: on the command line, in files, in folders of results."""
+    """Name of the gait on the command line, in files and in folders of results."""
     quantities: ClassVar[Mapping[str, Quantity]]
-    """What the parameters may be, by their dotted names."""
+    """Allowed values of the parameters, by their dotted names."""
     parameters: ClassVar[type[eqx.Module]]
     """The record of the parameters."""
     records: ClassVar[Mapping[str, type[eqx.Module]]]
@@ -38,7 +38,7 @@ class Gait(Plan, Protocol):
 
     @property
     def params(self) -> Any:  # noqa: ANN401
-        """What it was made from."""
+        """Parameters from which the gait was planned."""
         ...
 
     @property
@@ -53,7 +53,7 @@ class Gait(Plan, Protocol):
 
     @property
     def clock_start(self) -> Float[Array, ""]:
-        """When the clock of its paper starts, by which loading times are told, since the start of the walk [s]."""
+        """Start of the clock of its paper, by which loading times are told, since the start of the walk [s]."""
         ...
 
     @classmethod
@@ -116,12 +116,12 @@ class PlannedGait(eqx.Module):
     @property
     @abstractmethod
     def timing(self) -> Timing:
-        """When the steps are."""
+        """Times of the steps."""
 
     @property
     @abstractmethod
     def duration(self) -> Scalar:
-        """From rest to rest [s]."""
+        """Duration of the walk from rest to rest [s]."""
 
     @abstractmethod
     def task(self, t: Scalar) -> TaskSpace:
@@ -133,7 +133,7 @@ class PlannedGait(eqx.Module):
 
     @property
     def clock_start(self) -> Scalar:
-        """When the clock of its paper starts, since the start of the walk [s]: with it."""
+        """Start of the clock of its paper, by which loading times are told, since the start of the walk [s]."""
         return jnp.zeros((), jnp.result_type(float))
 
     @classmethod

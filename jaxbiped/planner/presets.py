@@ -22,7 +22,7 @@ Record = TypeVar("Record", bound=eqx.Module)
 
 @runtime_checkable
 class Kind(Protocol):
-    """What a preset has to know of a class of gaits."""
+    """Class of gaits, as far as a preset has to know it."""
 
     @property
     def __name__(self) -> str:
@@ -36,7 +36,7 @@ class Kind(Protocol):
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:
-        """What the parameters may be, by their dotted names."""
+        """Allowed values of the parameters, by their dotted names."""
         ...
 
     @property
@@ -47,12 +47,12 @@ class Kind(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """What the file of a preset says."""
+    """Content of the file of a preset."""
 
     numbers: Mapping[str, Number]
     """The parameters by their dotted names, with unit and source."""
     infeasible: str
-    """Why it breaks a constraint although it is a preset; empty if it is not known to."""
+    """Reason why it breaks a constraint although it is a preset; empty if it is not known to."""
 
     def parameters(self, record: type[Record]) -> Record:
         """The parameters as the record of their gait."""
@@ -80,7 +80,7 @@ def preset(gait: Kind, robot: str | RobotParams) -> Preset:
 
 
 def no_preset(name: str, known: tuple[str, ...]) -> str:
-    """That a robot has no preset, those that have one, and how to walk like one of them."""
+    """Say that a robot has no preset, which robots have one, and how to walk like one of them."""
     like = " or ".join(repr(robot) for robot in known)
     otherwise = f"; otherwise add walks_like = {like} to the robot's file" if known else ""
     return f"got robot {name!r}, allowed: {', '.join(known) or 'none'}{otherwise}"

@@ -1,4 +1,4 @@
-"""What a robot's own paper says beyond its body: which gait it walks, and what each gait is simulated with.
+"""Choices of a robot's own paper beyond its body: which gait it walks, and what each gait is simulated with.
 
 Tables of a robot file, each entry with its source, kept apart from `RobotParams`, which is what is compiled:
 
@@ -18,7 +18,7 @@ from jaxbiped.checked import Flag, Quantity, Refusal, Word, shown
 from jaxbiped.robot.fields import RobotFileError, Setting, read_setting
 
 MAX_TICKS = 1000
-"""Physics ticks in a control tick, at most."""
+"""Largest number of physics ticks in a control tick."""
 
 
 def _gait(name: str, given: object, error: type[Refusal]) -> str:
@@ -38,25 +38,25 @@ _SIMULATION: dict[str, Callable[[str, object, type[Refusal]], object]] = {
     "payload_model": Word(("exact", "thesis")).check,
     "friction": Quantity("", 0.01, 5.0).check,
 }
-"""What [simulation.GAIT] may hold: options of a simulation, and the friction of the floor."""
+"""Allowed entries of [simulation.GAIT]: options of a simulation, and the friction of the floor."""
 TABLES = ("walking", "simulation")
 
 
 @dataclass(frozen=True)
 class Defaults:
-    """What stands beside a robot's body in its file."""
+    """Choices beside a robot's body in its file."""
 
     settings: Mapping[str, Setting] = field(default_factory=dict)
-    """Its entries by their dotted names, such as `walking.gait` and `simulation.cosine.friction`."""
+    """Entries by their dotted names, such as `walking.gait` and `simulation.cosine.friction`."""
 
     @property
     def gait(self) -> str:
-        """Name of the gait of its own paper; empty if none is known."""
+        """Name of the gait of the robot's own paper; empty if none is known."""
         setting = self.settings.get("walking.gait")
         return "" if setting is None else setting.value
 
     def simulation(self, gait: str) -> dict[str, Any]:
-        """What a gait is simulated with where nobody says otherwise."""
+        """Options and friction with which a gait is simulated where nobody says otherwise."""
         prefix = f"simulation.{gait}."
         return {
             name.removeprefix(prefix): setting.value

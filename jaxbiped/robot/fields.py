@@ -94,7 +94,7 @@ def _require_form(
 
 
 def _origin(field: str, entry: dict[str, Any], error: type[checked.Refusal]) -> tuple[str, str]:
-    """Whether an entry is `stated` or `assumed`, and the text where or why."""
+    """Return whether an entry is `stated` or `assumed`, and the text that says where or why."""
     kinds = [kind for kind in ("stated", "assumed") if kind in entry]
     if len(kinds) != 1 or not isinstance(entry[kinds[0]], str) or not entry[kinds[0]].strip():
         raise error(f"{field}: needs either 'stated' (where) or 'assumed' (why), one of them, as text")

@@ -73,7 +73,7 @@ def run(
 
 @runtime.jit
 def _start(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""]) -> State:
-    """Where the walks start: at rest on the compliant ground."""
+    """Start the walks: every robot stands at rest on the compliant ground."""
     return jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
 
 
@@ -112,5 +112,5 @@ def _conclude(kind: Hashable) -> Concluded:
 
 
 def _as_computed(tree: PyTree, dtype: np.dtype) -> PyTree:
-    """What is a float as JAX computes with."""
+    """Convert all floats of a tree to the float type that JAX computes with."""
     return jax.tree.map(lambda leaf: leaf.astype(dtype) if leaf.dtype.kind == "f" else leaf, tree)

@@ -1,7 +1,7 @@
 """The one file that touches MJX's internals: from joint state to mass matrix, bias force and body motion.
 
 MuJoCo's own conventions stay in here, in `State` and in `robot.layout`, which says what is where in qpos and qvel.
-Spatial vectors are (angular, linear) about the robot's centre of mass with world axes.
+Spatial vectors are (angular, linear) about the robot's center of mass with world axes.
 """
 
 import contextlib
@@ -35,10 +35,10 @@ Model = mjx.Model
 
 
 class BodyMotion(eqx.Module):
-    """Everything the forces of a tick need to know of the robot's configuration and velocity."""
+    """Configuration and velocity of the robot, as far as the forces of a tick depend on them."""
 
     p_world_foot: Float[Array, "2 3"]
-    """Ankle centres [m]."""
+    """Ankle centers [m]."""
     rot_world_foot: Float[Array, "2 3 3"]
     """Orientation of the feet."""
     p_world_trunk: Float[Array, "3"]
@@ -48,12 +48,12 @@ class BodyMotion(eqx.Module):
     twist_foot: Float[Array, "2 6"]
     """Angular velocity [rad/s] and velocity [m/s] of the point of each foot at `centre`."""
     centre: Float[Array, "3"]
-    """Reference point of all spatial vectors: the robot's centre of mass [m]."""
+    """Reference point of all spatial vectors: the robot's center of mass [m]."""
     dof_axes: Float[Array, "nv 6"]
     """Spatial motion per unit of each qvel."""
     link_inertia: Float[Array, "link 10"]
-    """Of the trunk with its load and of the links of both legs, about `centre`: xx, yy, zz, xy, xz, yz [kg m2], first
-    moment [kg m], mass [kg]."""
+    """Inertia of the trunk with its load and of the links of both legs about `centre`: xx, yy, zz, xy, xz, yz [kg m2],
+    first moment [kg m], mass [kg]."""
     mass_matrix: Float[Array, "nv nv"]
     """Joint-space inertia, armature included."""
     bias: Float[Array, " nv"]
@@ -76,7 +76,7 @@ def base_model(robot: RobotParams) -> Model:
 
 
 def _require_layout(model: mujoco.MjModel) -> None:
-    """Bodies and hinges are where everything else expects them."""
+    """Require that bodies and hinges are numbered as in `BIPED`."""
     bodies = tuple(model.body(i).name for i in range(model.nbody))
     hinges = tuple(model.joint(i).name for i in range(1, model.njnt))
     assert (bodies, hinges) == (BIPED.bodies, BIPED.hinges), (bodies, hinges)
@@ -96,12 +96,12 @@ def with_masses(
     com: Float[Array, "body 3"],
     inertia: Float[Array, "body 3"],
 ) -> Model:
-    """The model with other masses [kg], centres of mass [m] and principal inertias [kg m2], numbered as bodies."""
+    """The model with other masses [kg], centers of mass [m] and principal inertias [kg m2], numbered as bodies."""
     return model.replace(body_mass=mass, body_ipos=com, body_inertia=inertia)
 
 
 def masses(model: Model) -> tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]:
-    """Mass, centre of mass and principal inertias of every body."""
+    """Mass, center of mass and principal inertias of every body."""
     return model.body_mass, model.body_ipos, model.body_inertia
 
 
@@ -124,7 +124,7 @@ def _through_mjx(model: Model, qpos: Float[Array, " nq"], qvel: Float[Array, " n
 
 
 def _read(data: mjx.Data) -> BodyMotion:
-    """What is read off MJX's data after its smooth dynamics."""
+    """Read the motion of the body off MJX's data after its smooth dynamics."""
     return BodyMotion(
         p_world_foot=data.xpos[BIPED.feet],
         rot_world_foot=data.xmat[BIPED.feet],
@@ -160,12 +160,12 @@ def _motion_jvp(
 
 
 def _is_zero(tangent: object) -> bool:
-    """Whether JAX knows that a tangent is zero."""
+    """Tell whether JAX knows that a tangent is zero."""
     return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
 
 
 def _instantiate(tangent: jax.custom_derivatives.SymbolicZero | ArrayLike, primal: ArrayLike) -> Any:  # noqa: ANN401
-    """The tangent itself, or zeros in its place."""
+    """Return the tangent itself, or zeros in place of a symbolic zero."""
     if not _is_zero(tangent):
         return tangent
     if jnp.issubdtype(jnp.result_type(primal), jnp.floating):
@@ -187,7 +187,7 @@ def _moved(
     shift: Float[Array, " nv"],
     d_qvel: Float[Array, " nv"],
 ) -> BodyMotion:
-    """How everything changes with a small shift of the coordinates (as a qvel) and of qvel."""
+    """Change of the motion with a small shift of the coordinates (as a qvel) and with a change of qvel."""
     links = Links(body.dof_axes, body.link_inertia)
     moved = spatial.velocities(links.axes, shift)
     d_centre = spatial.centre_shift(links, moved)
@@ -264,7 +264,7 @@ class JointMatrix(eqx.Module):
 
     trunk: Float[Array, "6 6"]
     coupling: Float[Array, "2 6 6"]
-    """Rows: a leg's joints; columns: the trunk's degrees of freedom."""
+    """Coupling of legs and trunk: a row for each joint of a leg, a column for each degree of freedom of the trunk."""
     leg: Float[Array, "2 6 6"]
 
 
@@ -343,7 +343,7 @@ class NativeStep(eqx.Module):
     corner_force: Float[Array, "2 4 3"]
     """Force on each sole corner, world axes [N]."""
     torque: Float[Array, "12"]
-    """Of the actuators [N m]."""
+    """Torques of the actuators [N m]."""
 
 
 def contact_model(spec: mujoco.MjSpec, iterations: int) -> Model:
@@ -364,7 +364,7 @@ def native_step(
     ctrl: Float[Array, "12"],
     push: Float[Array, "3"],
 ) -> NativeStep:
-    """`mjx.step` with a force on the trunk's centre of mass [N]; corner_geom (2, 4) are the corners' geom numbers."""
+    """`mjx.step` with a force on the trunk's center of mass [N]; corner_geom (2, 4) are the corners' geom numbers."""
     data = mjx.make_data(model)
     data = data.replace(
         qpos=qpos, qvel=qvel, ctrl=ctrl, xfrc_applied=data.xfrc_applied.at[TRUNK, :3].set(push)

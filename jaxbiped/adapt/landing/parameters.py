@@ -117,7 +117,7 @@ class Landing(Stage):
 
     @classmethod
     def paper(cls, **parameters: Any) -> "Landing":  # noqa: ANN401
-        """Eqs. 6-16 to the letter: every switch off that is not given.
+        """Parameters of Eqs. 6-16 to the letter: every switch off that is not given.
 
         Raises:
             TypeError: for a parameter that there is not.
@@ -128,11 +128,11 @@ class Landing(Stage):
 
     @classmethod
     def repaired(cls, **parameters: Any) -> "Landing":  # noqa: ANN401
-        """With every repair that is not switched off; errors as of `paper`."""
+        """Parameters with every repair that is not switched off; raises the errors of `paper`."""
         require_names(cls, parameters)
         return cls(**parameters)
 
     @classmethod
     def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "Landing":
-        """`paper` or `repaired`, and errors as from there."""
+        """Parameters of the variant `paper` or `repaired`; raises their errors."""
         return {"paper": cls.paper, "repaired": cls.repaired}[variant](**parameters)

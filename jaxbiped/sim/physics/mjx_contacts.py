@@ -30,7 +30,7 @@ ITERATIONS = 6
 MOST_CONTACTS = 16
 """Contacts that are kept at a time, the deepest: every corner may touch a box and the floor."""
 DEPTH = 0.5
-"""How far boxes reach down from their tops [m]."""
+"""Depth of the boxes below their tops [m]."""
 _BOX_0 = 1
 """Number of the first box among the geoms, after the floor."""
 _CORNER = 2
@@ -56,7 +56,7 @@ def base_model(robot: RobotParams, rectangles: int, timestep: float) -> mjx_adap
 
 
 def check_terrain(terrain: Terrain) -> None:
-    """Refuse what boxes on a plane cannot show, where the numbers are known.
+    """Refuse terrain that boxes on a plane cannot represent, where the numbers are known.
 
     Raises:
         ValueError: if there is a hole, or raised rectangles overlap, which here do not add up.
