@@ -165,7 +165,7 @@ class Quantity:
         names = [f"{' x '.join(map(str, shape))} numbers" if shape else "one number" for shape in self.shapes]
         return " or ".join(names) + (f" [{self.unit}]" if self.unit else "")
 
-    def check(self, name: str, given: object, error: type[Refusal] = Refusal) -> Any:
+    def check(self, name: str, given: object, error: type[Refusal] = Refusal) -> Any:  # noqa: ANN401
         """Return what was given as float or float64 array; traced values and an allowed None as they are.
 
         Args:

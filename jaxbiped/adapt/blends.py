@@ -7,13 +7,13 @@ Scalar = Float[Array, ""]
 
 
 def smooth(u: Scalar) -> Scalar:
-    """From 0 at u <= 0 to 1 at u >= 1 with zero first and second derivative at both ends (khadiv Eq. 16)."""
+    """Go from 0 at u <= 0 to 1 at u >= 1, with zero first and second derivatives at both ends (khadiv Eq. 16)."""
     u = jnp.clip(u, 0.0, 1.0)
     return u * u * u * (10.0 + u * (6.0 * u - 15.0))
 
 
 def quintic_to_rest(t: Scalar, T: Array, v: Array, a: Array, way: Array) -> Array:
-    """From (0, v, a) at t = 0 to (way, 0, 0) at T, held there (khadiv Eqs. 6 and 7)."""
+    """Go from (0, v, a) at t = 0 to (way, 0, 0) at T, and stay there (khadiv Eqs. 6 and 7)."""
     r = jnp.minimum(t / T, 1.0)  # not clipped at 0: there the velocity must be v, not half of it
     r2 = r * r
     r3 = r2 * r

@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from jaxbiped.adapt.sensed import Sensed
 from jaxbiped.adapt.stage import PlannedStage, Signals, Stage
@@ -17,7 +17,7 @@ class ControllerState(eqx.Module):
 
     time: Float[Array, ""]
     """Time of the last reading [s]."""
-    stages: dict[str, Any]
+    stages: dict[str, PyTree]
     """State of every stage, by its name."""
     signals: Signals
     """Signals of the last tick."""
@@ -34,7 +34,7 @@ class Controller(eqx.Module):
     gait: Gait
     """The planned walk."""
     stages: tuple[PlannedStage, ...]
-    """In the order in which they act: first those that decide which step is made."""
+    """The planned stages in the order in which they act: first those that decide which step is made."""
 
     def __init__(self, gait: Gait, *stages: Stage | None):
         """Plan the stages for the gait.
@@ -53,7 +53,7 @@ class Controller(eqx.Module):
         self.gait = gait
         self.stages = tuple(stage.plan(gait) for stage in chosen)
 
-    def stage(self, name: str) -> Any:
+    def stage(self, name: str) -> Any:  # noqa: ANN401
         """The planned stage of this name; None if there is none."""
         return next((stage for stage in self.stages if stage.name == name), None)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxbiped.checked import Flag, Quantity, refuse_unknown
 
@@ -21,14 +22,14 @@ class Tune:
     low: float
     high: float
     note: str = ""
-    """The paper's own value."""
+    """The paper's own value of the parameter."""
     entries: Mapping[str, tuple[int, ...]] | None = None
     """Names of single entries and their places, if the parameter is a table."""
 
 
 def number(
-    name: str, declared: Quantity, default: Any = dataclasses.MISSING, *, tune: Tune | None = None
-) -> Any:
+    name: str, declared: Quantity, default: object = dataclasses.MISSING, *, tune: Tune | None = None
+) -> Any:  # noqa: ANN401
     """Declare a parameter that is a number or a table of numbers: checked, then an array of JAX's float type.
 
     None, where it is allowed, and values that are traced are not judged.
@@ -40,18 +41,18 @@ def number(
         tune: how it may be tuned; None if it cannot be.
     """
 
-    def read(given: Any) -> Any:
+    def read(given: object) -> Float[Array, "..."] | None:
         value = declared.check(name, given)
         return None if value is None else jnp.asarray(value, jnp.result_type(float))
 
     return eqx.field(converter=read, metadata={"declared": declared, "tune": tune}, **_default(default))
 
 
-def switch(name: str, default: bool, text: str) -> Any:
+def switch(name: str, default: bool, text: str) -> Any:  # noqa: ANN401
     """Declare a parameter that is true or false; it decides what is compiled."""
     declared = Flag(text)
 
-    def read(given: Any) -> bool:
+    def read(given: object) -> bool:
         return declared.check(name, given)
 
     return eqx.field(converter=read, static=True, metadata={"declared": declared}, default=default)
@@ -80,5 +81,5 @@ def require_names(record: type, given: Iterable[str]) -> None:
     refuse_unknown(f"{record.__name__}: parameter ", given, declared(record), TypeError)
 
 
-def _default(default: Any) -> dict[str, Any]:
+def _default(default: object) -> dict[str, Any]:
     return {} if default is dataclasses.MISSING else {"default": default}

@@ -1,6 +1,4 @@
-"""What the robot's sensors give: all that a controller ever learns of the world."""
-
-from typing import Any
+"""Readings of the robot's sensors: all that a controller ever learns of the world."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,31 +9,31 @@ class Sensed(eqx.Module):
     """One reading of every sensor."""
 
     time: Float[Array, ""]
-    """Since the start of the walk [s]."""
+    """Time since the start of the walk [s]."""
     switch: Bool[Array, "2 4"]
     """Contact switches at the sole corners, closed or open."""
     switch_time: Float[Array, "2 4"]
-    """When each switch last closed, interpolated inside the tick [s]; infinite if it never has."""
+    """Time at which each switch last closed, interpolated inside the tick [s]; infinite if it never has."""
     corner_force: Float[Array, "2 4"]
     """Vertical force at each sole corner [N]."""
     ankle_wrench: Float[Array, "2 6"]
-    """Force [N] and moment [N m] of the ground on each foot about the ankle centre, foot axes."""
+    """Force [N] and moment [N m] of the ground on each foot about the ankle center, foot axes."""
     angle: Float[Array, "2 6"]
     """Joint angles [rad]."""
     speed: Float[Array, "2 6"]
     """Joint speeds [rad/s]."""
     roll_pitch: Float[Array, "2"]
-    """Of the trunk [rad]."""
+    """Roll and pitch of the trunk [rad]."""
     rate: Float[Array, "3"]
     """Angular velocity of the trunk, trunk axes [rad/s]."""
     zmp_world: Float[Array, "2"]
-    """Centre of the vertical ground forces [m]."""
+    """Center of the vertical ground forces, world axes [m]."""
     zmp_body: Float[Array, "2"]
-    """The same seen from the pelvis, heading axes [m]."""
+    """Center of the vertical ground forces relative to the pelvis, heading axes [m]."""
 
     @classmethod
-    def nothing(cls, time: Float[Array, ""], **felt: Any) -> "Sensed":
-        """The clock only: switches open for ever, all else zero, but for what is given."""
+    def nothing(cls, time: Float[Array, ""], **felt: Array) -> "Sensed":
+        """Reading of the clock only: switches open for ever, all else zero, except for what is given."""
 
         def zeros(*shape: int) -> Array:
             return jnp.zeros(shape, time.dtype)

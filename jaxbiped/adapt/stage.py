@@ -7,11 +7,11 @@ acts in every control tick. `register` makes it known by name, to variant files,
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from jaxbiped.adapt.parameters import require_names
 from jaxbiped.adapt.sensed import Sensed
@@ -33,29 +33,29 @@ class Signals(eqx.Module):
     """Whether a foot has just touched down, or is overdue: foot forces say little about the weight. Said anew in every
     tick by the one stage that watches the feet; nobody else takes it back."""
     interruptions: Int[Array, ""]
-    """How often the walk has been interrupted."""
+    """Number of interruptions of the walk."""
     interrupted_time: Scalar
-    """When the last interruption began [s]."""
+    """Time at which the last interruption began [s]."""
     resume_time: Scalar
-    """When the walk went on after it [s]."""
+    """Time at which the walk went on after the last interruption [s]."""
     next_step: Int[Array, ""]
-    """Number of the plan's step with which it goes on."""
+    """Number of the plan's step with which the walk goes on."""
 
     @classmethod
     def none(cls) -> "Signals":
-        """Before the first tick: the plan is being walked, and nothing has happened."""
+        """Signals before the first tick: the plan is being walked, and nothing has happened."""
         zero, count = jnp.zeros((), jnp.result_type(float)), jnp.zeros((), jnp.int32)
         return cls(zero, jnp.ones((), bool), jnp.zeros((), bool), count, zero, zero, count)
 
 
 class Outcome(NamedTuple):
-    """A declared column of what came of a walk."""
+    """A declared column of the outcome of a walk."""
 
     text: str
-    """What it says."""
+    """Description of the column."""
     kind: type = float
-    """Of its values: float, int, bool or str."""
-    absent: Any = None
+    """Type of the values: float, int, bool or str."""
+    absent: bool | int | float | str | None = None
     """Value where the controller has not the stage; None is missing."""
 
 
@@ -63,7 +63,7 @@ class PlannedStage(eqx.Module):
     """A stage for one planned walk."""
 
     params: eqx.AbstractVar["Stage"]
-    """Parameters."""
+    """Parameters of the stage."""
 
     @property
     def name(self) -> str:
@@ -72,17 +72,17 @@ class PlannedStage(eqx.Module):
 
     @classmethod
     @abstractmethod
-    def plan(cls, params: Any, gait: Gait) -> "PlannedStage":
+    def plan(cls, params: "Stage", gait: Gait) -> "PlannedStage":
         """Read off the plan what the stage needs of it."""
 
     @abstractmethod
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """State before the first tick."""
 
     @abstractmethod
     def step(
-        self, state: Any, gait: Gait, targets: Targets, sensed: Sensed, signals: Signals
-    ) -> tuple[Any, Targets, Signals]:
+        self, state: PyTree, gait: Gait, targets: Targets, sensed: Sensed, signals: Signals
+    ) -> tuple[PyTree, Targets, Signals]:
         """Adapt the targets of one control tick; pure.
 
         Args:
@@ -93,7 +93,7 @@ class PlannedStage(eqx.Module):
             signals: of the stages before this one; of those after it, from the last tick.
         """
 
-    def outcome(self, state: Any) -> dict[str, Array]:
+    def outcome(self, state: PyTree) -> dict[str, Array]:
         """The columns that `Stage.outcomes` declares, from the state at the end of a walk."""
         return {}
 
@@ -106,22 +106,22 @@ class Stage(eqx.Module):
     """The parameters of a stage, and what belongs to it."""
 
     name: ClassVar[str]
-    """What it is called: in variant files, of tunables, in a controller."""
+    """Name of the stage in variant files, of tunables and in a controller."""
     record: ClassVar[str] = ""
-    """What its records are called in folders of results; its name if empty."""
+    """Name of the stage's records in folders of results; the stage's name if empty."""
     planned: ClassVar[type[PlannedStage]]
     """The stage that is planned with these parameters."""
     replans: ClassVar[bool] = False
-    """Whether it decides which step is made; such stages act before those that fit a step to the ground."""
+    """Whether the stage decides which step is made; such stages act before those that fit a step to the ground."""
     variants: ClassVar[tuple[str, ...]] = ("default",)
     """Names that `named` knows."""
     outcomes: ClassVar[Mapping[str, Outcome]] = {}
-    """Its columns in the results table."""
+    """Columns of the stage in the results table."""
     read_off_plan: ClassVar[tuple[str, ...]] = ()
     """Parameters that a variant reads off robot and plan where they are not given."""
 
     @classmethod
-    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: Any) -> "Stage":
+    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "Stage":
         """The parameters of a named variant, some of them changed.
 
         Raises:

@@ -1,4 +1,4 @@
-"""What can be tuned: the few numbers of the adaptation, each with bounds, unit and the papers' default.
+"""Tunables: the few numbers of the adaptation, each with bounds, unit and the papers' default.
 
 A name is `landing.T_mod`, `payload.settling_time`, `gait.D_s` or `gait.start_stop.x_s_first`. Defaults are those of
 the variant that is tuned.
@@ -19,14 +19,14 @@ from jaxbiped.adapt import parameters
 from jaxbiped.adapt.controller import Controller
 from jaxbiped.adapt.stage import STAGES, Stage
 from jaxbiped.checked import Quantity
-from jaxbiped.planner import GaitError, violations
+from jaxbiped.planner import Gait, GaitError, violations
 from jaxbiped.planner.polynomial import as_scalar
 from jaxbiped.robot import RobotParams
 
 GAIT_ROOM = 0.3
-"""How far a gait's parameter may go from where it is, as a share of it."""
+"""Range of a gait's parameter around its value, as a share of the value."""
 SMALLEST = 0.01
-"""What that share is taken of where the parameter is smaller than this, in its unit."""
+"""Smallest value of which GAIT_ROOM is taken as a share, in the parameter's unit."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def apply(
 
 def with_values(
     robot: RobotParams, controller: Controller, tunables: Sequence[Tunable], new: Float[Array, " n"]
-) -> tuple[Any, list[Stage]]:
+) -> tuple[Gait, list[Stage]]:
     """Give what `apply` plans with: the gait, and the parameters of the stages.
 
     A descent goes through plans that break a constraint by a little, so that none is refused for that here.
@@ -124,7 +124,7 @@ def with_values(
     own = {t.field: new[i] for i, t in enumerate(tunables) if t.stage == "gait"}
     gait, stages = other_gait(robot, controller.gait, own, allow_infeasible=True), []
     for stage in controller.stages:
-        changed: dict[str, Any] = {}
+        changed: dict[str, Array] = {}
         for t, value in ((t, new[i]) for i, t in enumerate(tunables) if t.stage == stage.name):
             old = changed.get(t.field, getattr(stage.params, t.field))
             changed[t.field] = jnp.asarray(old).at[t.index].set(value) if t.index else value
@@ -169,12 +169,12 @@ def _parameter(controller: Controller, t: Tunable) -> Array:
     return jnp.asarray(getattr(stage, t.field) if value is None else value)
 
 
-def gait_fields(gait: Any) -> list[str]:
+def gait_fields(gait: Gait) -> list[str]:
     """Dotted names of a gait's parameters that are one number."""
     return numbers_in(gait.params)
 
 
-def numbers_in(record: Any, prefix: str = "") -> list[str]:
+def numbers_in(record: eqx.Module, prefix: str = "") -> list[str]:
     """Dotted names of what is one number in a record, and in records in it."""
     names: list[str] = []
     for name, value in vars(record).items():
@@ -186,8 +186,12 @@ def numbers_in(record: Any, prefix: str = "") -> list[str]:
 
 
 def other_gait(
-    robot: RobotParams, gait: Any, new: Mapping[str, Any], *, allow_infeasible: bool = False
-) -> Any:
+    robot: RobotParams,
+    gait: Gait,
+    new: Mapping[str, Float[Array, ""] | float],
+    *,
+    allow_infeasible: bool = False,
+) -> Gait:
     """The gait with other values of some of its parameters, by their dotted names, planned anew.
 
     Args:

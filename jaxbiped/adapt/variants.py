@@ -12,24 +12,26 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
+from jax.typing import ArrayLike
 
 from jaxbiped import checked
 from jaxbiped.adapt import parameters, tunables
 from jaxbiped.adapt.controller import Controller
 from jaxbiped.adapt.stage import STAGES, Stage
 from jaxbiped.checked import Field, Flag, Quantity, Refusal, Word
+from jaxbiped.planner import Gait
 from jaxbiped.planner.constraints import OR_ALLOW
 from jaxbiped.robot import RobotParams
 
 OFF = "off"
-"""Base of a stage that is not there."""
+"""Base of a stage that is off."""
 GAIT, ORIGIN = "gait", "origin"
 ALLOW_KEY, ALLOW = "allow_infeasible", Flag("the plan may break a constraint of khadiv section 2.2")
 Tables = dict[str, dict[str, Any]]
-"""What a file says, by the name of the table."""
+"""Tables of a file, by their names."""
 
 
-def load(path: Path, robot: RobotParams, gait: Any, allow_infeasible: bool = False) -> Controller:
+def load(path: Path, robot: RobotParams, gait: Gait, allow_infeasible: bool = False) -> Controller:
     """A controller from the file of a variant; stages that have no table are off.
 
     Args:
@@ -96,7 +98,7 @@ def check_tables(data: Mapping[str, Any], where: str = "") -> Tables:
     return tables
 
 
-def controller(tables: Tables, robot: RobotParams, gait: Any, allow_infeasible: bool = False) -> Controller:
+def controller(tables: Tables, robot: RobotParams, gait: Gait, allow_infeasible: bool = False) -> Controller:
     """The controller that checked tables describe; stages that have no table are off.
 
     Raises:
@@ -115,7 +117,7 @@ def controller(tables: Tables, robot: RobotParams, gait: Any, allow_infeasible: 
         raise Refusal(words) from None
 
 
-def stage_of(name: str, variant: str, robot: RobotParams, gait: Any, **given: Any) -> Stage | None:
+def stage_of(name: str, variant: str, robot: RobotParams, gait: Gait, **given: object) -> Stage | None:
     """Parameters of a stage by its name and that of its variant, some of them changed; None if it is off."""
     return None if variant == OFF else STAGES[name].named(variant, robot, gait, **given)
 
@@ -128,7 +130,7 @@ def stage_fields() -> dict[str, dict[str, Field]]:
     }
 
 
-def tables_of(controller: Controller, robot: RobotParams, gait: Any, name: str = "") -> Tables:
+def tables_of(controller: Controller, robot: RobotParams, gait: Gait, name: str = "") -> Tables:
     """The tables that make a controller again, with every parameter in them.
 
     Args:
@@ -151,22 +153,22 @@ def tables_of(controller: Controller, robot: RobotParams, gait: Any, name: str =
     return tables
 
 
-def gait_numbers(gait: Any) -> dict[str, Any]:
+def gait_numbers(gait: Gait) -> dict[str, float]:
     """The parameters of a gait by their dotted names."""
     return numbers_of(gait.params)
 
 
-def numbers_of(record: Any) -> dict[str, float]:
+def numbers_of(record: eqx.Module) -> dict[str, float]:
     """The numbers of a record, and of records in it, by their dotted names."""
     return {name: plain(attrgetter(name)(record)) for name in tunables.numbers_in(record)}
 
 
-def same(one: Any, other: Any) -> bool:
+def same(one: object, other: object) -> bool:
     """Tell whether two records are of one kind and hold the same numbers."""
     return type(one) is type(other) and bool(eqx.tree_equal(one, other))
 
 
-def plain(value: Any) -> Any:
+def plain(value: ArrayLike) -> Any:  # noqa: ANN401
     """A number, or a table of them, by the shortest decimals that give it back in its own precision."""
     array = np.asarray(value)
     if array.ndim:
@@ -195,7 +197,7 @@ def nested(table: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _stage_table(params: Stage, robot: RobotParams, gait: Any, variant: str) -> dict[str, Any]:
+def _stage_table(params: Stage, robot: RobotParams, gait: Gait, variant: str) -> dict[str, Any]:
     """All parameters of a stage, and the nearest base that leaves those alone that are None."""
     known = type(params)
     if STAGES.get(params.name) is not known:
@@ -215,7 +217,7 @@ def _stage_table(params: Stage, robot: RobotParams, gait: Any, variant: str) -> 
     raise Refusal(f"its stage '{params.name}' is none of {', '.join(known.variants)} with other parameters")
 
 
-def _gait_table(table: Any, name: str) -> dict[str, Any]:
+def _gait_table(table: object, name: str) -> dict[str, Any]:
     """The values of a table [gait] by dotted names; which names and ranges there are is up to the gait."""
     if not isinstance(table, dict):
         raise Refusal(f"{name}: got {checked.shown(table)}, allowed: a table [{name}]")
@@ -224,7 +226,7 @@ def _gait_table(table: Any, name: str) -> dict[str, Any]:
     return {key: fields[key].check(f"{name}.{key[:80]}", value) for key, value in values.items()}
 
 
-def _other_gait(table: Mapping[str, Any], robot: RobotParams, gait: Any, allow_infeasible: bool) -> Any:
+def _other_gait(table: Mapping[str, Any], robot: RobotParams, gait: Gait, allow_infeasible: bool) -> Gait:
     """The gait with the values of a table [gait]."""
     known = type(gait).quantities
     fields: dict[str, Field] = {name: known.get(name, Quantity()) for name in tunables.gait_fields(gait)}

@@ -85,7 +85,7 @@ _BEFORE_0_2 = {
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
-def to_json(value: object) -> Any:
+def to_json(value: object) -> Any:  # noqa: ANN401
     """Write a value as `json.dumps` takes it; `from_json` gives it back, bit for bit.
 
     Raises:
@@ -113,7 +113,7 @@ def to_json(value: object) -> Any:
     )
 
 
-def from_json(data: object) -> Any:
+def from_json(data: object) -> Any:  # noqa: ANN401
     """The value that `to_json` was given; arrays are JAX's.
 
     Raises:
@@ -161,7 +161,7 @@ def _are_records(value: object) -> TypeGuard[list[dict[str, Any]]]:
     return isinstance(value, list) and all(isinstance(item, dict) for item in value)
 
 
-def _record(data: dict[str, Any]) -> Any:
+def _record(data: dict[str, Any]) -> Any:  # noqa: ANN401
     name = data["record"]
     name = _BEFORE_0_2.get(name, name)
     every = known()
@@ -192,7 +192,7 @@ def _name(made: type) -> str | None:
     return next((name for name, record in known().items() if record is made), None)
 
 
-def _default(field: dataclasses.Field) -> Any:
+def _default(field: dataclasses.Field) -> Any:  # noqa: ANN401
     convert = field.metadata.get("converter", lambda value: value)
     return convert(field.default)
 

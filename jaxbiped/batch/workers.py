@@ -119,7 +119,7 @@ def on_dask(
 class _Crew:
     """Chunks that are with the workers of a scheduler."""
 
-    def __init__(self, client: Any, experiment: Experiment, told: Within):
+    def __init__(self, client: Any, experiment: Experiment, told: Within):  # noqa: ANN401
         self.client, self.told = client, told
         self.running: dict[int, tuple[Chunk, Any]] = {}
         # A task, not data that is on workers only: whoever is left gets it again.
@@ -197,7 +197,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any, None, None]:
         ) from error
 
 
-def _cluster(workers: int) -> Any:
+def _cluster(workers: int) -> Any:  # noqa: ANN401
     """A scheduler and workers on this machine."""
     from distributed import LocalCluster
 

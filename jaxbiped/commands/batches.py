@@ -126,7 +126,7 @@ def claim(experiment: batch.Experiment, command: Place, figures: Iterable[str] =
     require_free(command.out, figures, there.ours, command.overwrite)
 
 
-def experiment(*given: Any, **named: Any) -> batch.Experiment:
+def experiment(*given: Any, **named: Any) -> batch.Experiment:  # noqa: ANN401
     """Make an experiment, or refuse in the words of the command line."""
     with naming_arguments():
         return batch.Experiment(*given, **named)

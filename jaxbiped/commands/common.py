@@ -128,7 +128,7 @@ def write(file: Path, content: bytes | str) -> Path:
         return files.write(file, content)
 
 
-def plain(value: object) -> Any:
+def plain(value: object) -> Any:  # noqa: ANN401
     """A value for JSON, with None in place of NaN and of what is infinite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None

@@ -186,7 +186,7 @@ def _page(out: Path, recovery: list[str]) -> Path:
         return page.write_page(out / PAGE, "jaxbiped: walks under loads and over obstacles", sections)
 
 
-def _pictures(heading: str, files: list[str]) -> Any:
+def _pictures(heading: str, files: list[str]) -> Any:  # noqa: ANN401
     from jaxbiped.report.page import Picture, Section
 
     return Section(

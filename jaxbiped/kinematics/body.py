@@ -1,7 +1,5 @@
 """The whole robot: poses of the 13 links, and the two legs' joint angles at once."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,7 +10,7 @@ from jaxbiped.robot import JOINT_AXES, LEFT, RIGHT, RobotParams, on_device
 
 
 class BodyPose(eqx.Module):
-    """Where every link and sole is, in the world."""
+    """Places and orientations of all links and soles in the world."""
 
     p_world_link: Float[Array, "*batch link 3"]
     """Origins of the link frames [m]."""
@@ -54,12 +52,12 @@ def pose(
 
 
 def com_of_links(robot: RobotParams, body: BodyPose) -> Float[Array, "link 3"]:
-    """Centre of mass of every link in the world [m]."""
+    """Center of mass of every link in the world [m]."""
     return body.p_world_link + jnp.einsum("nij,nj->ni", body.rot_world_link, on_device(robot).links.com)
 
 
 def com(robot: RobotParams, body: BodyPose) -> Float[Array, "3"]:
-    """Centre of mass of the robot in the world [m]."""
+    """Center of mass of the robot in the world [m]."""
     robot = on_device(robot)
     return robot.links.mass @ com_of_links(robot, body) / robot.total_mass
 
@@ -74,7 +72,7 @@ def joint_angles(
     Returns:
         Angles (2, 6) [rad] and the status (2,) of `leg.inverse`.
     """
-    rotation: Any = jnp.broadcast_to(jnp.eye(3, dtype=p_pelvis_sole.dtype), (2, 3, 3))
+    rotation: Float[Array, "2 3 3"] = jnp.broadcast_to(jnp.eye(3, dtype=p_pelvis_sole.dtype), (2, 3, 3))
     if rot_pelvis_sole is not None:
         rotation = rot_pelvis_sole
     found = jax.vmap(leg.inverse, (None, 0, 0, 0))(robot, jnp.arange(2), p_pelvis_sole, rotation)

@@ -19,16 +19,16 @@ GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
 
 Motion = Callable[[Float[Array, ""]], tuple[BodyPose, Float[Array, "2 6"]]]
-"""Time [s] -> where the links are and the joint angles [rad]."""
+"""Function of time [s]: the places of the links and the joint angles [rad]."""
 
 
 class Wrench(eqx.Module):
     """A force and its moment about the world's origin."""
 
     force: Float[Array, "*batch 3"]
-    """[N]"""
+    """Force [N]."""
     moment: Float[Array, "*batch 3"]
-    """About the world's origin [N m]."""
+    """Moment about the world's origin [N m]."""
 
     def __add__(self, other: "Wrench") -> "Wrench":
         """Sum of two wrenches."""
@@ -43,7 +43,7 @@ class MotionState(eqx.Module):
     """A motion at one instant, and the wrench every link needs to follow it."""
 
     body: BodyPose
-    """Where the links are."""
+    """Places and orientations of the links."""
     angle: Float[Array, "*batch 2 6"]
     """Joint angles [rad]."""
     speed: Float[Array, "*batch 2 6"]
@@ -55,7 +55,7 @@ class MotionState(eqx.Module):
 
     @property
     def ground_wrench(self) -> Wrench:
-        """What the ground must give in total."""
+        """Total wrench that the ground must give."""
         return Wrench(self.link_wrench.force.sum(-2), self.link_wrench.moment.sum(-2))
 
 

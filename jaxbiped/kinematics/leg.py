@@ -1,7 +1,7 @@
 """One leg: forward kinematics, and the closed-form inverse of Park et al. (2012) by the reversed chain.
 
-Joints from the hip down: yaw z, roll x, pitch y (meeting in the hip centre), knee y, ankle pitch y, ankle roll x
-(meeting in the ankle centre). `hip` is the frame of the pelvis moved to the hip centre, `sole` the sole frame.
+Joints from the hip down: yaw z, roll x, pitch y (meeting in the hip center), knee y, ankle pitch y, ankle roll x
+(meeting in the ankle center). `hip` is the frame of the pelvis moved to the hip center, `sole` the sole frame.
 """
 
 import equinox as eqx
@@ -15,14 +15,14 @@ from jaxbiped.robot import JOINT_AXES, RobotParams, on_device
 OK, OUT_OF_REACH, AT_JOINT_LIMIT = 0, 1, 2
 STATUS_TEXT = ("ok", "out of reach", "at a joint limit")
 STRAIGHT_KNEE = 0.01
-"""Smallest knee bend the inverse gives [rad]. A knee at 0 has an infinite derivative; 0.01 rad costs 9 micrometres
+"""Smallest knee bend the inverse gives [rad]. A knee at 0 has an infinite derivative; 0.01 rad costs 9 micrometers
 of reach on a leg of 2 x 0.36 m."""
 
 _ABOUT = {"x": about_x, "y": about_y, "z": about_z}
 
 
 class LegPose(eqx.Module):
-    """Where the six link frames of a leg and its sole are, in the pelvis frame."""
+    """Places and orientations of the six link frames of a leg and of its sole, in the pelvis frame."""
 
     p_pelvis_link: Float[Array, "*batch 6 3"]
     """Origins of the link frames [m]."""
@@ -38,7 +38,7 @@ class LegPose(eqx.Module):
 
 
 class LegAngles(eqx.Module):
-    """What the inverse kinematics found."""
+    """Result of the inverse kinematics."""
 
     angle: Float[Array, "*batch 6"]
     """Joint angles, hip yaw to ankle roll [rad]."""
@@ -72,7 +72,7 @@ def inverse(
 ) -> LegAngles:
     """Closed-form inverse kinematics for any sole position (3,) [m] and rotation (3, 3).
 
-    Reversed chain (Park et al. 2012): seen from the sole, the hip centre depends on the knee and the two ankle joints
+    Reversed chain (Park et al. 2012): seen from the sole, the hip center depends on the knee and the two ankle joints
     alone, which follow from it; the three hip joints follow from the rotation that is left. A target beyond reach is
     moved along the line from hip to ankle to the nearest reachable one; angles beyond the joint ranges are clipped to
     them. Never NaN; derivatives are finite everywhere.
@@ -90,7 +90,7 @@ def inverse(
 
 
 def reach(robot: RobotParams, side: int | Int[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Smallest and largest distance between hip centre and ankle centre [m], from the knee's range."""
+    """Smallest and largest distance between hip center and ankle center [m], from the knee's range."""
     robot = on_device(robot)
     bend = robot.joint_range[side, 3]
     return _hip_to_ankle(robot, bend[1]), _hip_to_ankle(robot, jnp.maximum(bend[0], STRAIGHT_KNEE))
@@ -107,7 +107,7 @@ def _hip_in_sole_frame(
     p_pelvis_sole: Float[Array, "3"],
     rot_pelvis_sole: Float[Array, "3 3"],
 ) -> Float[Array, "3"]:
-    """Hip centre seen from the ankle centre, sole axes [m]."""
+    """Hip center seen from the ankle center, sole axes [m]."""
     from_sole = rot_pelvis_sole.T @ (robot.p_pelvis_hip[side] - p_pelvis_sole)
     return from_sole.at[2].add(-robot.ankle_height)
 

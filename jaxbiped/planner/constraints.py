@@ -1,4 +1,4 @@
-"""Which constraint a plan breaks, when and by how much (khadiv section 2.2); what breaks one is refused when made.
+"""Constraints that a plan breaks, when and by how much (khadiv section 2.2); such a plan is refused when made.
 
 Every support phase is sampled, its ends too. A walk's steps repeat: what is special about its first and last steps dies
 out by a factor of 4 or more from step to step, so that of a long walk only the first and last CHECKED_STEPS are judged.
@@ -6,10 +6,10 @@ out by a factor of 4 or more from step to step, so that of a long walk only the 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
 
 from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity
@@ -24,14 +24,14 @@ FRICTION = 0.8
 MIN_KNEE = 0.1
 """Least bend of a knee in a plan [rad]; the straight leg, 0, cannot move the foot along itself."""
 CHECKED_STEPS = 8
-"""So many steps from the start and to the end of a walk are judged."""
+"""Number of steps that are judged from the start, and to the end, of a walk."""
 OR_ALLOW = "; or say allow_infeasible=True"
-"""How a refusal ends: what lets the plan through all the same."""
+"""End of a refusal: how to let the plan through all the same."""
 
 _SINGLE, _DOUBLE, _REST = 64, 32, 100
-"""Samples of a single and a double support, and of start and stop."""
+"""Numbers of samples of a single support, of a double support, and of start and stop."""
 _EDGE = 1e-3
-"""How far the first and the last sample of a support phase are from its ends, as a fraction of it."""
+"""Distance of the first and last samples of a support phase from its ends, as a fraction of the phase."""
 _BLOCK = 512
 """Samples judged at once: one size, so that judging is compiled once, whatever the gait and the robot."""
 
@@ -43,18 +43,18 @@ class Violation:
     constraint: str
     """`ZMP`, `friction`, `torque`, `speed` or `knee`."""
     time: float
-    """[s]"""
+    """Time of the worst violation [s]."""
     value: float
     """ZMP margin [m], friction coefficient, torque [N m], speed [rad/s] or bend of the knee [rad]."""
     limit: float
-    """What is allowed, in the same unit."""
+    """Limit that is allowed, in the same unit."""
     got: str
-    """What the plan asks for, in words."""
+    """Value that the plan asks for, in words."""
     allowed: str
-    """What is allowed, in words."""
+    """Allowed range, in words."""
 
     def words(self, robot: RobotParams, gait: Plan) -> str:
-        """One line for a person."""
+        """Describe the violation in one line for a person."""
         when = f"at t = {self.time:.3f} s of {float(gait.duration):.3f} s on robot {robot.name!r}"
         return f"got {self.got} {when}, allowed: {self.allowed}"
 
@@ -83,7 +83,7 @@ def require_reach(robot: RobotParams, gait: Plan) -> None:
     _require_reach(robot, gait, _Sampled.of(robot, gait))
 
 
-def check_arguments(friction: Any, allow_infeasible: Any) -> tuple[Any, bool]:
+def check_arguments(friction: float, allow_infeasible: object) -> tuple[float, bool]:
     """Return both arguments of `make` and `preset`, or raise a GaitError."""
     friction = Quantity("", 0.01, 5.0).check("friction", friction, GaitError)
     return friction, checked.Flag().check("allow_infeasible", allow_infeasible, GaitError)
@@ -94,9 +94,9 @@ class _Sampled:
     """A plan at instants that cover it, on the host."""
 
     robot: RobotParams
-    """Without its names, which would be compiled in."""
+    """The robot without its names, which would be compiled in."""
     time: np.ndarray
-    """[s]"""
+    """Sample times [s]."""
     step: np.ndarray
     targets: Targets
     n_steps: int
@@ -109,7 +109,7 @@ class _Sampled:
         return cls(nameless, time, step, targets, gait.timing.n_steps)
 
     def judged(self) -> tuple[np.ndarray, Feasibility]:
-        """Times [s], and what the plan takes there."""
+        """Times [s], and the plan's feasibility there."""
         rows = np.flatnonzero((self.step < CHECKED_STEPS) | (self.step >= self.n_steps - CHECKED_STEPS))
         return self.time[rows], self._map(of_targets, rows)
 
@@ -117,7 +117,7 @@ class _Sampled:
         """Status of each leg's inverse kinematics at all times."""
         return self._map(_statuses, np.arange(len(self.time)))
 
-    def _map(self, function: Callable[[RobotParams, Targets], Any], rows: np.ndarray) -> Any:
+    def _map(self, function: Callable[[RobotParams, Targets], PyTree], rows: np.ndarray) -> PyTree:
         padded = np.pad(rows, (0, -len(rows) % _BLOCK), mode="edge")
         blocks = [
             function(self.robot, jax.tree.map(lambda leaf: leaf[block], self.targets))  # noqa: B023
@@ -143,13 +143,13 @@ def _times(gait: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 @runtime.jit
-def _targets(gait: Any, times: Any) -> Targets:
+def _targets(gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Targets:
     return jax.vmap(lambda t: at(gait, t))(times)
 
 
 @runtime.jit
-def _statuses(robot: RobotParams, targets: Targets) -> Any:
-    def one(task: TaskSpace) -> Any:
+def _statuses(robot: RobotParams, targets: Targets) -> Int[Array, "n 2"]:
+    def one(task: TaskSpace) -> Int[Array, "2"]:
         return joint_angles(robot, task.sole - task.pelvis)[1]
 
     return jax.vmap(one)(targets.position)
@@ -166,7 +166,7 @@ def _require_reach(robot: RobotParams, gait: Plan, sampled: _Sampled) -> None:
 
 
 def _violations(sampled: _Sampled, friction: float) -> list[Violation]:
-    """In the order in which the paper lists the constraints."""
+    """Find the violations, in the order in which the paper lists the constraints."""
     time, judged = sampled.judged()
     forward, left, up = judged.ground_force.T
     needed = np.where(up > 0.0, np.hypot(forward, left) / np.where(up > 0.0, up, 1.0), np.inf)
@@ -182,11 +182,17 @@ def _violations(sampled: _Sampled, friction: float) -> list[Violation]:
 
 
 Words = Callable[[str, float, float, tuple[int, ...]], tuple[str, str]]
-"""Name of the constraint, value, limit, place -> what was got, what is allowed."""
+"""Function (name of the constraint, value, limit, place) -> (what was got, what is allowed), in words."""
 
 
-def _worst(time: np.ndarray, name: str, value: Any, least: Any, words: Words) -> Violation | None:
-    """Where value >= least is broken by the largest fraction; upper bounds come with a minus sign."""
+def _worst(
+    time: np.ndarray,
+    name: str,
+    value: Float[Array | np.ndarray, "..."] | float,
+    least: Float[Array | np.ndarray, "..."] | float,
+    words: Words,
+) -> Violation | None:
+    """Find where value >= least is broken by the largest fraction; upper bounds come with a minus sign."""
     value, least = np.broadcast_arrays(np.asarray(value, float), np.asarray(least, float))
     scale = np.where((least != 0.0) & np.isfinite(least), np.abs(least), 1.0)
     short = np.nan_to_num((least - value) / scale, nan=np.inf)

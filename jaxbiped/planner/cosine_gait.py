@@ -40,7 +40,7 @@ QUANTITIES = {
     "T_ini": _REST,
     "T_end": _REST,
 }
-"""What the parameters may be."""
+"""Allowed values of the parameters."""
 
 
 class CosineParams(eqx.Module):
@@ -63,11 +63,11 @@ class CosineParams(eqx.Module):
     x_ref: Scalar = eqx.field(converter=as_scalar)
     """Middle of the feet in the body frame, sagittal (x_ref_as) [m]."""
     y_ref: Scalar = eqx.field(converter=as_scalar)
-    """The same, lateral (y_ref_as) [m]."""
+    """Middle of the feet in the body frame, lateral (y_ref_as) [m]."""
     T_ini: Scalar = eqx.field(converter=as_scalar)
-    """From rest to t = 0 of the thesis [s]."""
+    """Time from rest to t = 0 of the thesis [s]."""
     T_end: Scalar = eqx.field(converter=as_scalar)
-    """From the middle of the last double support to rest [s]."""
+    """Time from the middle of the last double support to rest [s]."""
 
     @property
     def T_c(self) -> Scalar:
@@ -81,11 +81,11 @@ class CosineGait(PlannedGait):
 
     name: ClassVar[str] = "cosine"
     quantities: ClassVar[Mapping[str, Quantity]] = QUANTITIES
-    """What the parameters may be."""
+    """Allowed values of the parameters."""
     parameters: ClassVar[type[eqx.Module]] = CosineParams
     """The record of the parameters."""
     params: CosineParams
-    """What it was made from."""
+    """Parameters from which the walk was planned."""
     n_steps: int = eqx.field(static=True)
     """Number of steps."""
     first_swing: int = eqx.field(static=True)
@@ -109,18 +109,18 @@ class CosineGait(PlannedGait):
 
     @property
     def duration(self) -> Scalar:
-        """From rest to rest [s]."""
+        """Duration of the walk from rest to rest [s]."""
         p = self.params
         return p.T_ini + self.n_steps * p.T_c + p.T_end
 
     @property
     def clock_start(self) -> Scalar:
-        """When the thesis' time starts, since the start of the walk [s]."""
+        """Time at which the thesis' time starts, since the start of the walk [s]."""
         return self.params.T_ini
 
     @property
     def timing(self) -> Timing:
-        """When the steps are."""
+        """Times of the steps."""
         p = self.params
         return Timing(p.T_ini + 0.5 * p.t_ds, p.t_ss, p.T_c, self.n_steps, self.first_swing)
 

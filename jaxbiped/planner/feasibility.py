@@ -1,6 +1,6 @@
 """Can this robot walk this plan? ZMP, friction, torque, speed, knee of the multibody model (khadiv 2.2)."""
 
-from typing import Any
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ class Feasibility(eqx.Module):
     """A plan at one instant (or, with a leading axis, at many)."""
 
     time: Float[Array, "*n"]
-    """[s]"""
+    """Time in the plan [s]."""
     zmp: Float[Array, "*n 2"]
     """Zero moment point on the ground, world x and y [m]."""
     zmp_margin: Float[Array, "*n"]
@@ -28,7 +28,7 @@ class Feasibility(eqx.Module):
     support_upper: Float[Array, "*n 2"]
     """Upper corner of the support polygon's bounding box [m]."""
     com: Float[Array, "*n 3"]
-    """Centre of mass, world [m]."""
+    """Center of mass, world [m]."""
     ground_force: Float[Array, "*n 3"]
     """Total force the ground must give [N]."""
     angle: Float[Array, "*n 2 6"]
@@ -56,7 +56,7 @@ class Feasibility(eqx.Module):
         return self.angle[..., KNEE]
 
 
-def motion_of(robot: RobotParams, task: Any) -> Motion:
+def motion_of(robot: RobotParams, task: Callable[[Float[Array, ""]], TaskSpace]) -> Motion:
     """The motion of all links that follows a function time -> TaskSpace, pelvis upright and soles level."""
 
     def motion(t: Float[Array, ""]):
@@ -74,10 +74,10 @@ def zmp_of(wrench: Wrench, height: Float[Array, ""] | float = 0.0) -> Float[Arra
 
 
 def share_between_feet(robot: RobotParams, task: TaskSpace, phase: Phase, wrench: Wrench) -> Wrench:
-    """Split the ground wrench between the feet by the place of the ZMP between their centres.
+    """Split the ground wrench between the feet by the place of the ZMP between their centers.
 
     In single support the stance foot has it all. The two parts always add up to the whole; both feet press
-    with the same offset from their centres.
+    with the same offset from their centers.
     """
     centre = task.sole[:, :2] + robot.p_sole_corner[:, :, :2].mean(axis=1)
     zmp = zmp_of(wrench)
@@ -97,7 +97,7 @@ class Frozen(eqx.Module):
     """The motion through some targets: at time 0 it has their position, velocity and acceleration."""
 
     targets: Targets
-    """At one instant."""
+    """Targets at one instant."""
 
     def task(self, t: Float[Array, ""]) -> TaskSpace:
         """Soles and pelvis, t [s] later."""
@@ -110,7 +110,7 @@ class Frozen(eqx.Module):
 
 
 def instant(robot: RobotParams, gait: Plan | Frozen, t: Float[Array, ""]) -> Feasibility:
-    """What a gait takes at time t [s]."""
+    """Feasibility of a gait at time t [s]."""
     state: MotionState = dynamics.evaluate(robot, motion_of(robot, gait.task), t)
     task, phase, wrench = gait.task(t), gait.phase(t), state.ground_wrench
     points, active = support.corners(robot, task), support.loaded(phase)
@@ -135,14 +135,14 @@ def instant(robot: RobotParams, gait: Plan | Frozen, t: Float[Array, ""]) -> Fea
 
 
 @runtime.jit
-def feasibility(robot: RobotParams, gait: Any, times: Float[Array, " n"]) -> Feasibility:
-    """What a gait takes at many times [s], as a leading axis. Differentiable in robot and gait."""
+def feasibility(robot: RobotParams, gait: Plan, times: Float[Array, " n"]) -> Feasibility:
+    """Feasibility of a gait at many times [s], as a leading axis. Differentiable in robot and gait."""
     return jax.vmap(lambda t: instant(robot, gait, t))(times)
 
 
 @runtime.jit
 def of_targets(robot: RobotParams, targets: Targets) -> Feasibility:
-    """What a gait takes at the instants of its targets, which have a leading axis: compiled once for all gaits.
+    """Feasibility of a gait at the instants of its targets, which have a leading axis: compiled once for all gaits.
 
     The same as `feasibility`, but that `time` is 0.
     """

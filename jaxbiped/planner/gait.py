@@ -1,4 +1,4 @@
-"""What a gait is to the rest of the package, the registry of gaits, and the gait of a robot's own paper.
+"""The interface of a gait to the rest of the package, the registry of gaits, and the gait of a robot's own paper.
 
 A third gait is one file with a class that is registered here, and a file of numbers for every robot that has a preset.
 """
@@ -25,20 +25,20 @@ Scalar = Float[Array, ""]
 
 @runtime_checkable
 class Gait(Plan, Protocol):
-    """All that the package uses of a gait: the plan, what it was made from, and how another one is made."""
+    """Everything that the package uses of a gait: the plan, its parameters, and how another one is made."""
 
     name: ClassVar[str]
-    """What it is called: on the command line, in files, in folders of results."""
+    """Name of the gait on the command line, in files and in folders of results."""
     quantities: ClassVar[Mapping[str, Quantity]]
-    """What the parameters may be, by their dotted names."""
+    """Allowed values of the parameters, by their dotted names."""
     parameters: ClassVar[type[eqx.Module]]
     """The record of the parameters."""
     records: ClassVar[Mapping[str, type[eqx.Module]]]
     """Records that its parameters hold; in folders of results their names come after that of the gait."""
 
     @property
-    def params(self) -> Any:
-        """What it was made from."""
+    def params(self) -> Any:  # noqa: ANN401
+        """Parameters from which the gait was planned."""
         ...
 
     @property
@@ -53,11 +53,11 @@ class Gait(Plan, Protocol):
 
     @property
     def clock_start(self) -> Float[Array, ""]:
-        """When the clock of its paper starts, by which loading times are told, since the start of the walk [s]."""
+        """Start of the clock of its paper, by which loading times are told, since the start of the walk [s]."""
         ...
 
     @classmethod
-    def preset_params(cls, robot: str | RobotParams) -> Any:
+    def preset_params(cls, robot: str | RobotParams) -> Any:  # noqa: ANN401
         """The preset parameters for a robot."""
         ...
 
@@ -78,7 +78,7 @@ class Gait(Plan, Protocol):
     def make(
         cls,
         robot: RobotParams,
-        params: Any,
+        params: eqx.Module,
         n_steps: SupportsIndex,
         first_swing: SupportsIndex = LEFT,
         *,
@@ -99,29 +99,29 @@ class PlannedGait(eqx.Module):
     quantities: ClassVar[Mapping[str, Quantity]]
     parameters: ClassVar[type[eqx.Module]]
     records: ClassVar[Mapping[str, type[eqx.Module]]] = {}
-    params: eqx.AbstractVar[Any]
+    params: eqx.AbstractVar[eqx.Module]
     n_steps: eqx.AbstractVar[int]
     first_swing: eqx.AbstractVar[int]
 
     @classmethod
     @abstractmethod
-    def require_sane(cls, robot: RobotParams, params: Any) -> None:
+    def require_sane(cls, robot: RobotParams, params: eqx.Module) -> None:
         """Raise a GaitError for parameters within their bounds that cannot be meant together, or on this robot."""
 
     @classmethod
     @abstractmethod
-    def plan(cls: type[_Planned], params: Any, n_steps: int, first_swing: int) -> _Planned:
+    def plan(cls: type[_Planned], params: eqx.Module, n_steps: int, first_swing: int) -> _Planned:
         """The walk of these parameters; pure."""
 
     @property
     @abstractmethod
     def timing(self) -> Timing:
-        """When the steps are."""
+        """Times of the steps."""
 
     @property
     @abstractmethod
     def duration(self) -> Scalar:
-        """From rest to rest [s]."""
+        """Duration of the walk from rest to rest [s]."""
 
     @abstractmethod
     def task(self, t: Scalar) -> TaskSpace:
@@ -133,11 +133,11 @@ class PlannedGait(eqx.Module):
 
     @property
     def clock_start(self) -> Scalar:
-        """When the clock of its paper starts, since the start of the walk [s]: with it."""
+        """Start of the clock of its paper, by which loading times are told, since the start of the walk [s]."""
         return jnp.zeros((), jnp.result_type(float))
 
     @classmethod
-    def preset_params(cls, robot: str | RobotParams) -> Any:
+    def preset_params(cls, robot: str | RobotParams) -> Any:  # noqa: ANN401
         """The preset parameters for a preset robot, by its name, or for one that walks like it.
 
         Raises:
@@ -177,7 +177,7 @@ class PlannedGait(eqx.Module):
     def make(
         cls: type[_Planned],
         robot: RobotParams,
-        params: Any,
+        params: eqx.Module,
         n_steps: SupportsIndex,
         first_swing: SupportsIndex = LEFT,
         *,

@@ -7,7 +7,7 @@ conditioned in float32.
 
 from collections.abc import Sequence
 from math import factorial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,20 +28,15 @@ def as_scalar(value: Scalar) -> Float[Array, ""]:
         return jnp.asarray(value, jnp.result_type(float))
 
 
-def as_scalar_or_none(value: Any) -> Any:
-    """The same, but for None."""
-    return None if value is None else as_scalar(value)
-
-
 class Polynomial(eqx.Module):
     """A polynomial of time about `centre`, in the scaled time s = (t - centre) / scale."""
 
     coefficients: Float[Array, "n"]
-    """Of s**0, s**1, ..."""
+    """Coefficients of s**0, s**1, ..."""
     centre: Float[Array, ""]
-    """[s]"""
+    """Time at which the scaled time is 0 [s]."""
     scale: Float[Array, ""]
-    """[s]"""
+    """Time in a unit of the scaled time [s]."""
 
     def __call__(self, t: Scalar) -> Float[Array, ""]:
         """Value at time t [s]."""
@@ -169,13 +164,13 @@ class PiecewisePolynomial(eqx.Module):
     """Polynomials side by side; before the first and after the last the end value is held."""
 
     coefficients: Float[Array, "pieces n"]
-    """Of powers of the scaled time of each piece."""
+    """Coefficients of the powers of the scaled time of each piece."""
     centre: Float[Array, "pieces"]
-    """[s]"""
+    """Time at which the scaled time of each piece is 0 [s]."""
     scale: Float[Array, "pieces"]
-    """[s]"""
+    """Time in a unit of the scaled time of each piece [s]."""
     breaks: Float[Array, "pieces+1"]
-    """Where pieces start and the last one ends, increasing [s]."""
+    """Times at which the pieces start and the last one ends, increasing [s]."""
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
         """Value at time t [s]."""
@@ -213,6 +208,6 @@ def spline_slopes(
 
 
 def shift(polynomial: Polynomial, offset: Scalar, delay: Scalar, sign: Scalar = 1.0) -> Polynomial:
-    """The same curve, mirrored by `sign`, raised by `offset` and `delay` seconds later."""
+    """Return the curve mirrored by `sign`, raised by `offset` and `delay` seconds later."""
     coefficients = (polynomial.coefficients * sign).at[0].add(offset)
     return Polynomial(coefficients, polynomial.centre + delay, polynomial.scale)

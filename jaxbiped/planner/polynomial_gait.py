@@ -61,11 +61,11 @@ QUANTITIES = {
     **{f"start_stop.{name}": _OFFSET for name in _START_STOP},
     **{f"start_stop.{name}": Quantity("m/s", -5.0, 5.0) for name in ("v_first", "v_last")},
 }
-"""What the parameters may be, by their dotted names."""
+"""Allowed values of the parameters, by their dotted names."""
 
 
 class StartStop(eqx.Module):
-    """Where the pelvis is at rest and in the first and last steps, sagittally, instead of x_s and x_e.
+    """Sagittal places of the pelvis at rest and in the first and last steps, instead of x_s and x_e.
 
     Offsets of the pelvis from the stance foot, with the signs of x_s (behind it, start of single support) and
     x_e (ahead of it, end of single support).
@@ -111,7 +111,7 @@ class PolynomialParams(eqx.Module):
     y_d: Scalar = eqx.field(converter=as_scalar)
     """Lateral distance between pelvis and stance foot at the start and end of single support [m]."""
     y_m: Scalar = eqx.field(converter=as_scalar)
-    """The same in mid single support, the smallest distance; negative beyond the stance foot [m]."""
+    """Smallest lateral distance between pelvis and stance foot, in mid single support; negative beyond the foot [m]."""
     z_max: Scalar = eqx.field(converter=as_scalar)
     """Greatest pelvis height over the ground, in the middle of single support [m]."""
     z_min: Scalar = eqx.field(converter=as_scalar)
@@ -119,11 +119,11 @@ class PolynomialParams(eqx.Module):
     L_p: Scalar = eqx.field(converter=as_scalar)
     """Lateral distance between the feet [m]."""
     T_ini: Scalar = eqx.field(converter=as_scalar)
-    """From rest to the first lift-off [s]."""
+    """Time from rest to the first lift-off [s]."""
     T_end: Scalar = eqx.field(converter=as_scalar)
-    """From the last touchdown to rest [s]."""
+    """Time from the last touchdown to rest [s]."""
     start_stop: StartStop
-    """Sagittal start and stop."""
+    """Sagittal parameters of start and stop."""
 
     @property
     def T_c(self) -> Scalar:
@@ -201,20 +201,20 @@ class PolynomialGait(PlannedGait):
 
     name: ClassVar[str] = "polynomial"
     quantities: ClassVar[Mapping[str, Quantity]] = QUANTITIES
-    """What the parameters may be."""
+    """Allowed values of the parameters."""
     parameters: ClassVar[type[eqx.Module]] = PolynomialParams
     """The record of the parameters."""
     records: ClassVar[Mapping[str, type[eqx.Module]]] = {"start_stop": StartStop}
     params: PolynomialParams
-    """What it was made from."""
+    """Parameters from which the walk was planned."""
     n_steps: int = eqx.field(static=True)
     """Number of steps."""
     first_swing: int = eqx.field(static=True)
     """The foot that swings first, 0 left or 1 right."""
     foot_x: Polynomial
-    """khadiv Eq. 1, as progress 0 to 1."""
+    """Progress of the swing foot, 0 to 1 (khadiv Eq. 1)."""
     foot_z: Polynomial
-    """khadiv Eq. 2."""
+    """Height of the swing foot (khadiv Eq. 2) [m]."""
     pelvis_x: PiecewisePolynomial
     """Sagittal pelvis position in the world [m]."""
     pelvis_y: PiecewisePolynomial
@@ -240,12 +240,12 @@ class PolynomialGait(PlannedGait):
 
     @property
     def duration(self) -> Scalar:
-        """From rest to rest [s]."""
+        """Duration of the walk from rest to rest [s]."""
         return self.pelvis_x.breaks[-1]
 
     @property
     def timing(self) -> Timing:
-        """When the steps are."""
+        """Times of the steps."""
         p = self.params
         return Timing(p.T_ini, p.T_s, p.T_c, self.n_steps, self.first_swing)
 

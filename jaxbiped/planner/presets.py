@@ -8,7 +8,7 @@ import functools
 from collections.abc import Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 
@@ -17,10 +17,12 @@ from jaxbiped.checked import Quantity
 from jaxbiped.planner.checks import GaitError
 from jaxbiped.robot import Number, RobotParams, read_number
 
+Record = TypeVar("Record", bound=eqx.Module)
+
 
 @runtime_checkable
 class Kind(Protocol):
-    """What a preset has to know of a class of gaits."""
+    """Class of gaits, as far as a preset has to know it."""
 
     @property
     def __name__(self) -> str:
@@ -34,7 +36,7 @@ class Kind(Protocol):
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:
-        """What the parameters may be, by their dotted names."""
+        """Allowed values of the parameters, by their dotted names."""
         ...
 
     @property
@@ -45,14 +47,14 @@ class Kind(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """What the file of a preset says."""
+    """Content of the file of a preset."""
 
     numbers: Mapping[str, Number]
     """The parameters by their dotted names, with unit and source."""
     infeasible: str
-    """Why it breaks a constraint although it is a preset; empty if it is not known to."""
+    """Reason why it breaks a constraint although it is a preset; empty if it is not known to."""
 
-    def parameters(self, record: type[eqx.Module]) -> Any:
+    def parameters(self, record: type[Record]) -> Record:
         """The parameters as the record of their gait."""
         return record_of(record, {name: float(number.value) for name, number in self.numbers.items()})
 
@@ -78,7 +80,7 @@ def preset(gait: Kind, robot: str | RobotParams) -> Preset:
 
 
 def no_preset(name: str, known: tuple[str, ...]) -> str:
-    """That a robot has no preset, those that have one, and how to walk like one of them."""
+    """Say that a robot has no preset, which robots have one, and how to walk like one of them."""
     like = " or ".join(repr(robot) for robot in known)
     otherwise = f"; otherwise add walks_like = {like} to the robot's file" if known else ""
     return f"got robot {name!r}, allowed: {', '.join(known) or 'none'}{otherwise}"
@@ -131,7 +133,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def record_of(record: type[eqx.Module], values: Mapping[str, float], prefix: str = "") -> Any:
+def record_of(record: type[Record], values: Mapping[str, float], prefix: str = "") -> Record:
     """A record of numbers, and of records of numbers, by their dotted names."""
     made = {}
     for field in dataclasses.fields(record):

@@ -13,7 +13,7 @@ def corners(robot: RobotParams, task: TaskSpace) -> Float[Array, "8 2"]:
 
 
 def loaded(phase: Phase) -> Bool[Array, "8"]:
-    """Which of the eight corners the plan has on the ground."""
+    """Tell which of the eight corners the plan has on the ground."""
     feet = (phase.support == DOUBLE_SUPPORT) | (jnp.arange(2) != phase.swing)
     return jnp.repeat(feet, 4)
 

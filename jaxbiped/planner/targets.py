@@ -1,4 +1,4 @@
-"""What a gait asks of the robot at one instant."""
+"""Targets of a gait for the robot at one instant."""
 
 from typing import Protocol, runtime_checkable
 
@@ -22,7 +22,7 @@ class TaskSpace(eqx.Module):
 
 
 class Phase(eqx.Module):
-    """Where in the walk an instant lies."""
+    """Place of an instant in the walk."""
 
     step: Int[Array, ""]
     """Number of the step, 0 for the first; a step is a single support and the double support after it."""
@@ -45,10 +45,10 @@ class Phase(eqx.Module):
 
 
 class Timing(eqx.Module):
-    """When the steps of a walk are."""
+    """Times of the steps of a walk."""
 
     first_liftoff: Float[Array, ""]
-    """[s]"""
+    """Time of the first lift-off [s]."""
     T_s: Float[Array, ""]
     """Duration of single support [s]."""
     T_c: Float[Array, ""]
@@ -90,13 +90,13 @@ class Targets(eqx.Module):
     """Task-space targets with their first two derivatives, and the phase."""
 
     position: TaskSpace
-    """[m]"""
+    """Positions [m]."""
     velocity: TaskSpace
-    """[m/s]"""
+    """Velocities [m/s]."""
     acceleration: TaskSpace
-    """[m/s2]"""
+    """Accelerations [m/s2]."""
     phase: Phase
-    """Where in the walk this is."""
+    """Phase of the walk."""
     time: Float[Array, ""]
     """Time in the plan whose joint torques suit these targets [s]."""
 
@@ -107,12 +107,12 @@ class Plan(Protocol):
 
     @property
     def duration(self) -> Float[Array, ""]:
-        """From rest to rest [s]."""
+        """Duration of the walk from rest to rest [s]."""
         ...
 
     @property
     def timing(self) -> Timing:
-        """When the steps are."""
+        """Times of the steps."""
         ...
 
     def task(self, t: Float[Array, ""]) -> TaskSpace:

@@ -1,4 +1,4 @@
-"""What a robot's own paper says beyond its body: which gait it walks, and what each gait is simulated with.
+"""Choices of a robot's own paper beyond its body: which gait it walks, and what each gait is simulated with.
 
 Tables of a robot file, each entry with its source, kept apart from `RobotParams`, which is what is compiled:
 
@@ -18,45 +18,45 @@ from jaxbiped.checked import Flag, Quantity, Refusal, Word, shown
 from jaxbiped.robot.fields import RobotFileError, Setting, read_setting
 
 MAX_TICKS = 1000
-"""Physics ticks in a control tick, at most."""
+"""Largest number of physics ticks in a control tick."""
 
 
-def _gait(name: str, given: Any, error: type[Refusal]) -> str:
+def _gait(name: str, given: object, error: type[Refusal]) -> str:
     """The name of a gait, which the planner knows."""
     if not isinstance(given, str) or not given.isidentifier():
         raise error(f"{name}: got {shown(given)}, allowed: the name of a gait")
     return given
 
 
-def _ticks(name: str, given: Any, error: type[Refusal]) -> int:
+def _ticks(name: str, given: object, error: type[Refusal]) -> int:
     return checked.whole(name, given, 1, MAX_TICKS, error)
 
 
-_SIMULATION: dict[str, Callable[[str, Any, type[Refusal]], Any]] = {
+_SIMULATION: dict[str, Callable[[str, object, type[Refusal]], object]] = {
     "control_every": _ticks,
     "feed_forward": Flag().check,
     "payload_model": Word(("exact", "thesis")).check,
     "friction": Quantity("", 0.01, 5.0).check,
 }
-"""What [simulation.GAIT] may hold: options of a simulation, and the friction of the floor."""
+"""Allowed entries of [simulation.GAIT]: options of a simulation, and the friction of the floor."""
 TABLES = ("walking", "simulation")
 
 
 @dataclass(frozen=True)
 class Defaults:
-    """What stands beside a robot's body in its file."""
+    """Choices beside a robot's body in its file."""
 
     settings: Mapping[str, Setting] = field(default_factory=dict)
-    """Its entries by their dotted names, such as `walking.gait` and `simulation.cosine.friction`."""
+    """Entries by their dotted names, such as `walking.gait` and `simulation.cosine.friction`."""
 
     @property
     def gait(self) -> str:
-        """Name of the gait of its own paper; empty if none is known."""
+        """Name of the gait of the robot's own paper; empty if none is known."""
         setting = self.settings.get("walking.gait")
         return "" if setting is None else setting.value
 
     def simulation(self, gait: str) -> dict[str, Any]:
-        """What a gait is simulated with where nobody says otherwise."""
+        """Options and friction with which a gait is simulated where nobody says otherwise."""
         prefix = f"simulation.{gait}."
         return {
             name.removeprefix(prefix): setting.value
@@ -65,7 +65,7 @@ class Defaults:
         }
 
 
-def read(document: Mapping[str, Any]) -> Defaults:
+def read(document: Mapping[str, object]) -> Defaults:
     """Read the tables of a robot file.
 
     Raises:
@@ -98,7 +98,7 @@ def require_same(given: Defaults, preset: Defaults, walks_like: str) -> None:
             )
 
 
-def _table(name: str, table: Any) -> dict[str, Any]:
+def _table(name: str, table: object) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise RobotFileError(f"{name}: got {shown(table)}, allowed: a table [{name}]")
     return table

@@ -39,7 +39,10 @@ class Setting:
 
 
 def read_number(
-    field: str, entry: Any, rule: Quantity, error: type[checked.Refusal] = RobotFileError
+    field: str,
+    entry: Any,  # noqa: ANN401
+    rule: Quantity,
+    error: type[checked.Refusal] = RobotFileError,
 ) -> Number:
     """Check one number of a file against its declaration.
 
@@ -58,7 +61,11 @@ def read_number(
     return Number(field, np.asarray(value, float), rule.unit, kind, source)
 
 
-def read_setting(field: str, entry: Any, check: Callable[[str, Any, type[checked.Refusal]], Any]) -> Setting:
+def read_setting(
+    field: str,
+    entry: Any,  # noqa: ANN401
+    check: Callable[[str, object, type[checked.Refusal]], object],
+) -> Setting:
     """Check one choice of a robot file.
 
     Args:
@@ -76,7 +83,7 @@ def read_setting(field: str, entry: Any, check: Callable[[str, Any, type[checked
 
 
 def _require_form(
-    field: str, entry: Any, keys: tuple[str, ...], form: str, allowed: str, error: type[checked.Refusal]
+    field: str, entry: object, keys: tuple[str, ...], form: str, allowed: str, error: type[checked.Refusal]
 ) -> None:
     """Refuse an entry that is no table with a value, or has what no entry has."""
     if not isinstance(entry, dict):
@@ -87,7 +94,7 @@ def _require_form(
 
 
 def _origin(field: str, entry: dict[str, Any], error: type[checked.Refusal]) -> tuple[str, str]:
-    """Whether an entry is `stated` or `assumed`, and the text where or why."""
+    """Return whether an entry is `stated` or `assumed`, and the text that says where or why."""
     kinds = [kind for kind in ("stated", "assumed") if kind in entry]
     if len(kinds) != 1 or not isinstance(entry[kinds[0]], str) or not entry[kinds[0]].strip():
         raise error(f"{field}: needs either 'stated' (where) or 'assumed' (why), one of them, as text")

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def box_inertia(mass: float, size: np.ndarray) -> np.ndarray:
-    """Return the inertia matrix (3, 3) [kg m2] of a uniform box of `size` (3,) [m] about its centre."""
+    """Return the inertia matrix (3, 3) [kg m2] of a uniform box of `size` (3,) [m] about its center."""
     squares = np.asarray(size, float) ** 2
     return mass / 12.0 * np.diag(squares.sum() - squares)
 
@@ -29,11 +29,11 @@ def combine(
 
     Args:
         masses: (n,) [kg].
-        coms: (n, 3) centres of mass in one common frame [m].
-        inertias: (n, 3, 3) about each centre of mass, common axes [kg m2].
+        coms: (n, 3) centers of mass in one common frame [m].
+        inertias: (n, 3, 3) about each center of mass, common axes [kg m2].
 
     Returns:
-        Mass [kg], centre of mass (3,) [m], inertia (3, 3) about it [kg m2].
+        Mass [kg], center of mass (3,) [m], inertia (3, 3) about it [kg m2].
     """
     mass = float(np.sum(masses))
     com = np.einsum("n,ni->i", masses, coms) / mass

@@ -1,4 +1,4 @@
-"""Where base, legs, feet and payload are in the vectors of a model; nowhere else is counted.
+"""Places of base, legs, feet and payload in the vectors of a model; no other module counts them.
 
 The coordinates are MuJoCo's: qpos is (position of the base, its quaternion w x y z, angles of the hinges), qvel is
 (velocity of the base, its angular velocity about its own axes, speeds of the hinges). Bodies are numbered from the
@@ -16,13 +16,13 @@ from jaxtyping import Array, Float, Int
 from jaxbiped.robot.params import JOINT_NAMES, LINK_NAMES, SIDE_NAMES
 
 POSITION, QUATERNION = slice(0, 3), slice(3, 7)
-"""Of the base, in qpos."""
+"""Position and quaternion of the base, in qpos."""
 REAL, IMAGINARY = 3, slice(4, 7)
-"""Parts of the quaternion."""
+"""Real and imaginary parts of the base's quaternion, in qpos."""
 TURNING = slice(3, 6)
 """Angular velocity of the base, in qvel; its velocity comes before it."""
 BASE = slice(0, TURNING.stop)
-"""Degrees of freedom of the base."""
+"""Degrees of freedom of the base, in qvel."""
 BASE_DOFS = BASE.stop
 
 
@@ -138,4 +138,4 @@ def of(links: Sequence[str], hinges: Sequence[str]) -> Layout:
 
 
 BIPED = of(LINK_NAMES, [f"{side}_{joint}" for side in SIDE_NAMES for joint in JOINT_NAMES])
-"""Two legs under a trunk, and nothing else."""
+"""Layout of two legs under a trunk, and nothing else."""

@@ -29,9 +29,9 @@ SMALLEST_SOLE = 0.01
 GYRATION = (1e-4, 3.0)
 """Smallest and largest radius of gyration of a body, the root of its inertia over its mass [m]."""
 LONGEST_NAME = 100
-"""Characters in the name of a robot."""
+"""Largest number of characters in the name of a robot."""
 _MIRRORED_JOINTS = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
-"""How a joint angle of the left leg reads on the mirrored right leg: yaw and the rolls change sign."""
+"""Signs that turn a joint angle of the left leg into that of the mirrored right leg: yaw and the rolls change sign."""
 
 # Wide enough for humanoids from 0.3 m and 1 kg to 2.5 m and 300 kg, narrow enough to refuse another unit.
 _SECTIONS: dict[str, dict[str, Quantity]] = {
@@ -94,7 +94,7 @@ def numbers(name_or_path: str | Path) -> list[Number]:
 
 
 def defaults(robot: str | RobotParams) -> Defaults:
-    """What the paper of a preset robot says beyond its body; nothing for one that walks like no preset.
+    """Choices of the paper of a preset robot beyond its body; none for a robot that walks like no preset.
 
     Args:
         robot: the robot, or the name of a preset.
@@ -134,7 +134,7 @@ def _file(name_or_path: str | Path) -> Traversable:
     return path
 
 
-def _read_all(document: dict[str, Any]) -> dict[str, Any]:
+def _read_all(document: dict[str, object]) -> dict[str, Any]:
     """Check the whole document; returns its numbers by dotted field name, `name` and `walks_like`."""
     known = ("name", "walks_like", "trunk", "leg", *_SECTIONS, *beside.TABLES)
     checked.refuse_unknown("", document, known, RobotFileError)
@@ -155,8 +155,8 @@ def _read_all(document: dict[str, Any]) -> dict[str, Any]:
     return read
 
 
-def _name(document: dict[str, Any]) -> str:
-    """Its name, which is written into titles, other files and models."""
+def _name(document: dict[str, object]) -> str:
+    """Return the robot's name, which is written into titles, other files and models."""
     name = document.get("name")
     if not isinstance(name, str) or not name.strip():
         raise RobotFileError(f"name: got {checked.shown(name)}, allowed: a text")
@@ -168,8 +168,8 @@ def _name(document: dict[str, Any]) -> str:
     return name
 
 
-def _walks_like(document: dict[str, Any], name: str) -> str:
-    """The preset whose gaits and simulation options fit; of a preset itself its own name."""
+def _walks_like(document: dict[str, object], name: str) -> str:
+    """Return the preset whose gaits and simulation options fit; for a preset itself, its own name."""
     if "walks_like" not in document:
         return name if name in presets() else ""
     return checked.Word(presets()).check("walks_like", document["walks_like"], RobotFileError)
@@ -259,7 +259,7 @@ def _array(value: np.ndarray) -> np.ndarray:
 
 
 def _hip_centre(value: dict[str, np.ndarray]) -> np.ndarray:
-    """Where the yaw axis (along z), roll axis (along x) and pitch axis (along y) meet, left leg."""
+    """Point where the yaw axis (along z), roll axis (along x) and pitch axis (along y) meet, left leg."""
     yaw, roll, pitch = (value[f"geometry.hip_{axis}_axis"] for axis in ("yaw", "roll", "pitch"))
     gaps = {"x of yaw and pitch": yaw[0] - pitch[0], "y of yaw and roll": yaw[1] - roll[1]}
     gaps["z of roll and pitch"] = roll[2] - pitch[2]

@@ -30,16 +30,16 @@ HostOrDevice = Any
 class Links(eqx.Module):
     """Mass properties of the 13 links, each in its own link frame.
 
-    The trunk's frame is the pelvis frame; hip_yaw, hip_roll and thigh have their origin in the hip centre, the
-    shank in the knee, ankle and foot in the ankle centre.
+    The trunk's frame is the pelvis frame; hip_yaw, hip_roll and thigh have their origin in the hip center, the
+    shank in the knee, ankle and foot in the ankle center.
     """
 
     mass: Float[HostOrDevice, "*batch link"]
     """Mass [kg]."""
     com: Float[HostOrDevice, "*batch link 3"]
-    """Centre of mass in the link frame [m]."""
+    """Center of mass in the link frame [m]."""
     inertia: Float[HostOrDevice, "*batch link 3 3"]
-    """Inertia about the centre of mass, link axes [kg m2]."""
+    """Inertia about the center of mass, link axes [kg m2]."""
 
 
 class Servo(eqx.Module):
@@ -65,13 +65,13 @@ class RobotParams(eqx.Module):
     name: str = eqx.field(static=True)
     """Name, as in the file it came from."""
     p_pelvis_hip: Float[HostOrDevice, "*batch 2 3"]
-    """Hip centre (where the three hip axes meet) in the pelvis frame [m]."""
+    """Hip center (where the three hip axes meet) in the pelvis frame [m]."""
     thigh_length: Float[HostOrDevice, "*batch"]
-    """Hip centre to knee axis [m]."""
+    """Hip center to knee axis [m]."""
     shank_length: Float[HostOrDevice, "*batch"]
-    """Knee axis to ankle centre [m]."""
+    """Knee axis to ankle center [m]."""
     ankle_height: Float[HostOrDevice, "*batch"]
-    """Ankle centre above the sole [m]; the sole frame's origin lies right below the ankle centre."""
+    """Ankle center above the sole [m]; the sole frame's origin lies right below the ankle center."""
     p_sole_corner: Float[HostOrDevice, "*batch 2 4 3"]
     """Sole corners in the sole frame [m]: toe left, toe right, heel left, heel right."""
     links: Links
@@ -91,7 +91,7 @@ class RobotParams(eqx.Module):
         return self.walks_like or self.name
 
     @property
-    def total_mass(self) -> Any:
+    def total_mass(self) -> Float[HostOrDevice, "*batch"]:
         """Mass of the whole robot [kg]."""
         return self.links.mass.sum(-1)
 

@@ -1,4 +1,4 @@
-"""Where the robot stands at rest on the compliant ground: the start of every walk, without any initial drop."""
+"""Rest on the compliant ground: the start of every walk, without any initial drop."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxbiped.sim.servo import Reference
 
 ITERATIONS = 12
 _HELD = np.array([0, 1, 5], np.int32)
-"""World x, world y and yaw: friction that is regularised does not hold them, nothing pushes them either."""
+"""World x, y and yaw, which are held: regularized friction does not resist them, and nothing pushes along them."""
 
 
 def standing(plant: Plant, task: TaskSpace, reference: Reference) -> Float[Array, " nq"]:

@@ -16,16 +16,16 @@ from jaxbiped.robot import RobotParams
 _TOGETHER = 128
 """Rows computed at once."""
 _LONGER = 1.3
-"""How much longer a tuned gait may last."""
+"""Factor by which a tuned gait may last longer."""
 
 
 class FeedForward(eqx.Module):
     """Joint torques over the time of the plan."""
 
     torque: Float[Array, "n 2 6"]
-    """[N m]"""
+    """Torques of the joints [N m]."""
     interval: float = eqx.field(static=True)
-    """Between two rows [s]."""
+    """Time between two rows [s]."""
 
     def at(self, plan_time: Float[Array, ""]) -> Float[Array, "2 6"]:
         """Torques at a time of the plan [s], interpolated linearly."""
@@ -36,7 +36,7 @@ class FeedForward(eqx.Module):
 
 
 def none() -> FeedForward:
-    """No feed-forward."""
+    """Return an empty table: no feed-forward."""
     return FeedForward(jnp.zeros((2, 2, 6)), 1.0)
 
 

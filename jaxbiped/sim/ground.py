@@ -28,17 +28,17 @@ class Contact(eqx.Module):
     gap: Float[Array, "2 4"]
     """Height of every sole corner over the ground under it [m]."""
     gap_rate: Float[Array, "2 4"]
-    """Its rate, vertical velocity of the corner over level ground [m/s]."""
+    """Rate of the gap, the vertical velocity of the corner over level ground [m/s]."""
     gradient: Float[Array, "2 4 3"]
-    """Of the gap by the corner's place: (0, 0, 1) over level ground, longer over edges."""
+    """Derivative of the gap by the corner's place: (0, 0, 1) over level ground, longer over edges."""
     p_world_corner: Float[Array, "2 4 3"]
-    """[m]"""
+    """Place of every sole corner [m]."""
     v_world_corner: Float[Array, "2 4 3"]
-    """[m/s]"""
+    """Velocity of every sole corner [m/s]."""
     force: Float[Array, "2 4 3"]
-    """On the foot, world axes [N]."""
+    """Force on the foot at every sole corner, world axes [N]."""
     normal_damping: Float[Array, "2 4"]
-    """How much the force along the gradient falls with the gap's rate at the end of the tick [N s/m]."""
+    """Decrease of the force along the gradient per gap rate at the end of the tick [N s/m]."""
     drag: Float[Array, "2 4"]
     """Friction force per sliding speed [N s/m]."""
 
@@ -137,7 +137,7 @@ def contact(
 
 
 def _give(contact: Contact) -> Float[Array, "2 4 3 3"]:
-    """How much the force at every corner falls with its velocity at the end of the tick [N s/m]."""
+    """Decrease of the force at every corner per velocity of the corner at the end of the tick [N s/m]."""
     gradient = contact.gradient
     steepness = jnp.sum(gradient * gradient, axis=-1)
     along = contact.normal_damping - contact.drag / steepness

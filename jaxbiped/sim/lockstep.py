@@ -2,13 +2,12 @@
 
 import functools
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Int, PyTree
 
 from jaxbiped import runtime
 from jaxbiped.sim.physics import c_world
@@ -73,12 +72,12 @@ def run(
 
 
 @runtime.jit
-def _start(simulation: PureSimulation, scenarios: Scenario, ticks: Any) -> State:
-    """Where the walks start: at rest on the compliant ground."""
+def _start(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""]) -> State:
+    """Start the walks: every robot stands at rest on the compliant ground."""
     return jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
 
 
-Concluded = Callable[[list[Any], State, Fields, Fields], tuple[State, Array, Sample]]
+Concluded = Callable[[list[Array | np.ndarray], State, Fields, Fields], tuple[State, Array, Sample]]
 
 
 @functools.lru_cache(maxsize=16)
@@ -89,12 +88,16 @@ def _conclude(kind: Hashable) -> Concluded:
     for what is static in a simulation at every call, as `runtime.jit` does, would take ten times as long as the tick.
     """
 
-    def conclude(fixed: list[Any], states: State, moved: Any, seen: Any) -> tuple[State, Array, Sample]:
+    def conclude(
+        fixed: list[Array], states: State, moved: dict[str, Array], seen: dict[str, Array]
+    ) -> tuple[State, Array, Sample]:
         simulation: PureSimulation = jax.tree.unflatten(kind, fixed)
         dt = simulation.options.dt
 
         def one(state: State, moved: Physics, seen: Seen) -> tuple[State, Array, Sample]:
-            def tick(carry: tuple[Physics, Record], after: tuple[Physics, Seen]) -> tuple[Any, None]:
+            def tick(
+                carry: tuple[Physics, Record], after: tuple[Physics, Seen]
+            ) -> tuple[tuple[Physics, Record], None]:
                 return observed(*carry, *after, dt, state.world.scenario), None
 
             (physics, record), _ = jax.lax.scan(tick, (state.physics, state.record), (moved, seen))
@@ -108,6 +111,6 @@ def _conclude(kind: Hashable) -> Concluded:
     return jax.jit(conclude, compiler_options=runtime.options())
 
 
-def _as_computed(tree: Any, dtype: Any) -> Any:
-    """What is a float as JAX computes with."""
+def _as_computed(tree: PyTree, dtype: np.dtype) -> PyTree:
+    """Convert all floats of a tree to the float type that JAX computes with."""
     return jax.tree.map(lambda leaf: leaf.astype(dtype) if leaf.dtype.kind == "f" else leaf, tree)

@@ -1,7 +1,7 @@
 """The one file that touches MJX's internals: from joint state to mass matrix, bias force and body motion.
 
 MuJoCo's own conventions stay in here, in `State` and in `robot.layout`, which says what is where in qpos and qvel.
-Spatial vectors are (angular, linear) about the robot's centre of mass with world axes.
+Spatial vectors are (angular, linear) about the robot's center of mass with world axes.
 """
 
 import contextlib
@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, PyTree
 
 with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its optional GPU back end is missing
     from mujoco import mjx
@@ -29,13 +30,15 @@ from jaxbiped.sim.spatial import Links
 
 TRUNK, PAYLOAD = BIPED.trunk, BIPED.payload
 """Numbers of bodies in the model."""
+Model = mjx.Model
+"""MJX's model of a robot."""
 
 
 class BodyMotion(eqx.Module):
-    """Everything the forces of a tick need to know of the robot's configuration and velocity."""
+    """Configuration and velocity of the robot, as far as the forces of a tick depend on them."""
 
     p_world_foot: Float[Array, "2 3"]
-    """Ankle centres [m]."""
+    """Ankle centers [m]."""
     rot_world_foot: Float[Array, "2 3 3"]
     """Orientation of the feet."""
     p_world_trunk: Float[Array, "3"]
@@ -45,19 +48,19 @@ class BodyMotion(eqx.Module):
     twist_foot: Float[Array, "2 6"]
     """Angular velocity [rad/s] and velocity [m/s] of the point of each foot at `centre`."""
     centre: Float[Array, "3"]
-    """Reference point of all spatial vectors: the robot's centre of mass [m]."""
+    """Reference point of all spatial vectors: the robot's center of mass [m]."""
     dof_axes: Float[Array, "nv 6"]
     """Spatial motion per unit of each qvel."""
     link_inertia: Float[Array, "link 10"]
-    """Of the trunk with its load and of the links of both legs, about `centre`: xx, yy, zz, xy, xz, yz [kg m2], first
-    moment [kg m], mass [kg]."""
+    """Inertia of the trunk with its load and of the links of both legs about `centre`: xx, yy, zz, xy, xz, yz [kg m2],
+    first moment [kg m], mass [kg]."""
     mass_matrix: Float[Array, "nv nv"]
     """Joint-space inertia, armature included."""
     bias: Float[Array, " nv"]
     """Coriolis, centrifugal and gravity forces; `mass_matrix @ qacc + bias` = applied forces."""
 
 
-def base_model(robot: RobotParams) -> Any:
+def base_model(robot: RobotParams) -> Model:
     """MJX model of the nominal robot with an empty payload body welded to the trunk."""
     spec = build_spec(robot)
     _add_payload(spec)
@@ -73,7 +76,7 @@ def base_model(robot: RobotParams) -> Any:
 
 
 def _require_layout(model: mujoco.MjModel) -> None:
-    """Bodies and hinges are where everything else expects them."""
+    """Require that bodies and hinges are numbered as in `BIPED`."""
     bodies = tuple(model.body(i).name for i in range(model.nbody))
     hinges = tuple(model.joint(i).name for i in range(1, model.njnt))
     assert (bodies, hinges) == (BIPED.bodies, BIPED.hinges), (bodies, hinges)
@@ -88,21 +91,21 @@ def _add_payload(spec: mujoco.MjSpec) -> None:
 
 
 def with_masses(
-    model: Any,
+    model: Model,
     mass: Float[Array, " body"],
     com: Float[Array, "body 3"],
     inertia: Float[Array, "body 3"],
-) -> Any:
-    """The model with other masses [kg], centres of mass [m] and principal inertias [kg m2], numbered as bodies."""
+) -> Model:
+    """The model with other masses [kg], centers of mass [m] and principal inertias [kg m2], numbered as bodies."""
     return model.replace(body_mass=mass, body_ipos=com, body_inertia=inertia)
 
 
-def masses(model: Any) -> tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]:
-    """Mass, centre of mass and principal inertias of every body."""
+def masses(model: Model) -> tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]:
+    """Mass, center of mass and principal inertias of every body."""
     return model.body_mass, model.body_ipos, model.body_inertia
 
 
-def motion(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
+def motion(model: Model, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
     """Kinematics, composite inertia and Newton-Euler bias of MJX at one state.
 
     Differentiated by how the links move with the joints (`spatial`), not through MJX; by the masses through MJX.
@@ -110,7 +113,7 @@ def motion(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> 
     return _motion(model, qpos, qvel)
 
 
-def _through_mjx(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
+def _through_mjx(model: Model, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> BodyMotion:
     data = mjx.make_data(model).replace(qpos=qpos, qvel=qvel)
     data = smooth.kinematics(model, data)
     data = smooth.com_pos(model, data)
@@ -120,8 +123,8 @@ def _through_mjx(model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"
     return _read(data)
 
 
-def _read(data: Any) -> BodyMotion:
-    """What is read off MJX's data after its smooth dynamics."""
+def _read(data: mjx.Data) -> BodyMotion:
+    """Read the motion of the body off MJX's data after its smooth dynamics."""
     return BodyMotion(
         p_world_foot=data.xpos[BIPED.feet],
         rot_world_foot=data.xmat[BIPED.feet],
@@ -130,8 +133,8 @@ def _read(data: Any) -> BodyMotion:
         twist_foot=data.cvel[BIPED.feet],
         centre=data.subtree_com[TRUNK],
         dof_axes=data.cdof,
-        link_inertia=data._impl.cinert[BIPED.links].at[0].add(data._impl.cinert[PAYLOAD]),
-        mass_matrix=data._impl.M,
+        link_inertia=data._impl.cinert[BIPED.links].at[0].add(data._impl.cinert[PAYLOAD]),  # pyright: ignore[reportAttributeAccessIssue]
+        mass_matrix=data._impl.M,  # pyright: ignore[reportAttributeAccessIssue]
         bias=data.qfrc_bias,
     )
 
@@ -140,7 +143,10 @@ _motion = jax.custom_jvp(_through_mjx)
 
 
 @functools.partial(_motion.defjvp, symbolic_zeros=True)
-def _motion_jvp(primals: Any, tangents: Any) -> tuple[BodyMotion, BodyMotion]:
+def _motion_jvp(
+    primals: tuple[Model, Float[Array, " nq"], Float[Array, " nv"]],
+    tangents: tuple[PyTree, PyTree, PyTree],
+) -> tuple[BodyMotion, BodyMotion]:
     model, qpos, qvel = primals
     body = _motion(model, qpos, qvel)
     d_qpos, d_qvel = (_instantiate(t, p) for t, p in zip(tangents[1:], primals[1:], strict=True))
@@ -153,13 +159,13 @@ def _motion_jvp(primals: Any, tangents: Any) -> tuple[BodyMotion, BodyMotion]:
     return body, jax.tree.map(jnp.add, d_body, by_model)
 
 
-def _is_zero(tangent: Any) -> bool:
-    """Whether JAX knows that a tangent is zero."""
+def _is_zero(tangent: object) -> bool:
+    """Tell whether JAX knows that a tangent is zero."""
     return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
 
 
-def _instantiate(tangent: Any, primal: Any) -> Any:
-    """The tangent itself, or zeros in its place."""
+def _instantiate(tangent: jax.custom_derivatives.SymbolicZero | ArrayLike, primal: ArrayLike) -> Any:  # noqa: ANN401
+    """Return the tangent itself, or zeros in place of a symbolic zero."""
     if not _is_zero(tangent):
         return tangent
     if jnp.issubdtype(jnp.result_type(primal), jnp.floating):
@@ -175,13 +181,13 @@ def _as_velocity(qpos: Float[Array, " nq"], d_qpos: Float[Array, " nq"]) -> Floa
 
 
 def _moved(
-    model: Any,
+    model: Model,
     body: BodyMotion,
     qvel: Float[Array, " nv"],
     shift: Float[Array, " nv"],
     d_qvel: Float[Array, " nv"],
 ) -> BodyMotion:
-    """How everything changes with a small shift of the coordinates (as a qvel) and of qvel."""
+    """Change of the motion with a small shift of the coordinates (as a qvel) and with a change of qvel."""
     links = Links(body.dof_axes, body.link_inertia)
     moved = spatial.velocities(links.axes, shift)
     d_centre = spatial.centre_shift(links, moved)
@@ -247,7 +253,7 @@ def trunk_force(body: BodyMotion, moment: Float[Array, "3"], force: Float[Array,
 
 
 def integrate(
-    model: Any, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], dt: float
+    model: Model, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], dt: float
 ) -> Float[Array, " nq"]:
     """Move qpos along qvel for dt [s] (the quaternion by its exponential)."""
     return _integrate_pos(model.jnt_type, qpos, qvel, jnp.asarray(dt, qpos.dtype))
@@ -258,7 +264,7 @@ class JointMatrix(eqx.Module):
 
     trunk: Float[Array, "6 6"]
     coupling: Float[Array, "2 6 6"]
-    """Rows: a leg's joints; columns: the trunk's degrees of freedom."""
+    """Coupling of legs and trunk: a row for each joint of a leg, a column for each degree of freedom of the trunk."""
     leg: Float[Array, "2 6 6"]
 
 
@@ -337,10 +343,10 @@ class NativeStep(eqx.Module):
     corner_force: Float[Array, "2 4 3"]
     """Force on each sole corner, world axes [N]."""
     torque: Float[Array, "12"]
-    """Of the actuators [N m]."""
+    """Torques of the actuators [N m]."""
 
 
-def contact_model(spec: mujoco.MjSpec, iterations: int) -> Any:
+def contact_model(spec: mujoco.MjSpec, iterations: int) -> Model:
     """MJX model with contacts, without joint limits, of a spec to which an empty payload body is added."""
     _add_payload(spec)
     spec.option.iterations, spec.option.ls_iterations = iterations, 2 * iterations
@@ -351,14 +357,14 @@ def contact_model(spec: mujoco.MjSpec, iterations: int) -> Any:
 
 
 def native_step(
-    model: Any,
+    model: Model,
     corner_geom: np.ndarray,
     qpos: Float[Array, " nq"],
     qvel: Float[Array, " nv"],
     ctrl: Float[Array, "12"],
     push: Float[Array, "3"],
 ) -> NativeStep:
-    """`mjx.step` with a force on the trunk's centre of mass [N]; corner_geom (2, 4) are the corners' geom numbers."""
+    """`mjx.step` with a force on the trunk's center of mass [N]; corner_geom (2, 4) are the corners' geom numbers."""
     data = mjx.make_data(model)
     data = data.replace(
         qpos=qpos, qvel=qvel, ctrl=ctrl, xfrc_applied=data.xfrc_applied.at[TRUNK, :3].set(push)

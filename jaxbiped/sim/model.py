@@ -68,7 +68,7 @@ def write_mjcf(robot: RobotParams, path: str | Path) -> Path:
 
 
 def mjcf(robot: RobotParams) -> str:
-    """Text of that file."""
+    """Return the text of the MJCF file of a robot."""
     spec = build_spec(robot)
     spec.compile()
     return spec.to_xml()

@@ -10,7 +10,7 @@ from jaxbiped.sim import plant
 from jaxbiped.sim.plant import PAYLOAD_MODELS
 
 DURATION = Quantity("s", 0.0, 3600.0, above=True)
-"""Of a walk."""
+"""Allowed duration of a walk."""
 COMPLIANT, MJX, C_MUJOCO = "compliant", "mjx", "c_mujoco"
 CONTACTS = (COMPLIANT, MJX, C_MUJOCO)
 MAX_TICKS = 1_000_000
@@ -38,7 +38,7 @@ class Options(eqx.Module):
     """Control ticks between two samples of the trace; 0 for no trace."""
 
     def __check_init__(self) -> None:
-        """Refuse what cannot be simulated."""
+        """Refuse options that cannot be simulated."""
         object.__setattr__(self, "dt", Quantity("s", 1e-5, 0.01).check("dt", self.dt))
         for name, least in (("control_every", 1), ("delay_room", 0), ("trace_every", 0)):
             object.__setattr__(self, name, checked.whole(name, getattr(self, name), least, MAX_TICKS))
@@ -58,11 +58,11 @@ class Options(eqx.Module):
 
 
 def own_options(robot: RobotParams, gait: Gait) -> Options:
-    """Options for a gait of which the robot's file says how its own paper simulates it, else the usual ones."""
+    """Options with which the robot's own paper simulates a gait, where its file says so; else the defaults."""
     said = defaults(robot).simulation(gait.name)
     return Options(**{name: value for name, value in said.items() if name != "friction"})
 
 
 def own_friction(robot: RobotParams, gait: Gait) -> float:
-    """Friction coefficient of the floor on which the robot's own paper walks this gait, else the usual one."""
+    """Friction coefficient of the floor in the robot's own paper, where its file gives one; else `FRICTION`."""
     return defaults(robot).simulation(gait.name).get("friction", FRICTION)

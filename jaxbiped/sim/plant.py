@@ -1,7 +1,5 @@
 """The simulated robot in one scenario: its masses over time, and the forces that act on it."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,58 +16,60 @@ EXACT, THESIS = "exact", "thesis"
 PAYLOAD_MODELS = (EXACT, THESIS)
 
 STOP_STIFFNESS = 10.0
-"""Of the spring at either end of a joint's range, over the position gain of its servo."""
+"""Stiffness of the spring at either end of a joint's range, relative to the position gain of its servo."""
 STOP_DAMPING = 10.0
-"""Of that spring, a in tau = k d (1 + a d') [s/rad]."""
+"""Damping of the spring at the ends of a joint's range, a in tau = k d (1 + a d') [s/rad]."""
 
 BodyMasses = tuple[Float[Array, " body"], Float[Array, "body 3"], Float[Array, "body 3"]]
 
 
 class World(eqx.Module):
-    """A scenario, and what it makes of the robot: constant in a walk."""
+    """A scenario and its effect on the robot: constant in a walk."""
 
     scenario: Scenario
     """The scenario."""
     servo: Servo
-    """The servos as they are, model errors included."""
+    """The servos of the simulated robot, model errors included."""
     before: BodyMasses
-    """Mass, centre of mass and principal inertias of the bodies without the payload."""
+    """Mass, center of mass and principal inertias of the bodies without the payload."""
     after: BodyMasses
-    """The same with it."""
+    """Mass, center of mass and principal inertias of the bodies with the payload."""
 
 
 class Plant(eqx.Module):
-    """What is simulated."""
+    """A robot, its MJX model and the world it walks in."""
 
     robot: RobotParams
     """The robot as the planner knows it."""
-    model: Any
-    """Its MJX model."""
+    model: mjx_adapter.Model
+    """MJX model of the robot."""
     world: World
-    """What it walks in."""
+    """The scenario and its effect on the robot."""
 
     @property
     def scenario(self) -> Scenario:
-        """See `World`."""
+        """The scenario of the world."""
         return self.world.scenario
 
     @property
     def servo(self) -> Servo:
-        """See `World`."""
+        """The servos of the simulated robot, model errors included."""
         return self.world.servo
 
     @property
     def before(self) -> BodyMasses:
-        """See `World`."""
+        """Mass, center of mass and principal inertias of the bodies without the payload."""
         return self.world.before
 
     @property
     def after(self) -> BodyMasses:
-        """See `World`."""
+        """Mass, center of mass and principal inertias of the bodies with the payload."""
         return self.world.after
 
 
-def make_plant(robot: RobotParams, model: Any, scenario: Scenario, payload_model: str = EXACT) -> Plant:
+def make_plant(
+    robot: RobotParams, model: mjx_adapter.Model, scenario: Scenario, payload_model: str = EXACT
+) -> Plant:
     """Apply a scenario's model errors and payload to the nominal robot.
 
     The payload's body is in its place from the start, without mass: only masses and inertias change while it comes.
@@ -108,7 +108,7 @@ def _attach_exact(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
 
 
 def _attach_thesis(masses: BodyMasses, scenario: Scenario) -> BodyMasses:
-    """The trunk's mass, centre of mass and inertia as in elkahlout Eqs. 3.8-3.10: no parallel-axis term."""
+    """The trunk's mass, center of mass and inertia as in elkahlout Eqs. 3.8-3.10: no parallel-axis term."""
     mass, com, inertia = masses
     load = scenario.payload
     total = mass[TRUNK] + load.mass
@@ -128,12 +128,14 @@ def body_motion(
 
 
 def motion_at_rest(plant: Plant, qpos: Float[Array, " nq"]) -> BodyMotion:
-    """The same before the walk, standing still: with a load that is carried from the start, without any other."""
+    """Kinematics and dynamics at rest before the walk, with a load only if it is carried from the start."""
     carried = plant.scenario.payload.is_carried.astype(qpos.dtype)
     return _motion(plant, qpos, jnp.zeros(BIPED.nv, qpos.dtype), carried)
 
 
-def _motion(plant: Plant, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], share: Any) -> BodyMotion:
+def _motion(
+    plant: Plant, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"], share: Float[Array, ""]
+) -> BodyMotion:
     return mjx_adapter.motion(mjx_adapter.with_masses(plant.model, *masses(plant, share)), qpos, qvel)
 
 
@@ -151,7 +153,7 @@ def contact_force(body: BodyMotion, contact: ground.Contact) -> Float[Array, " n
 
 
 def push_force(plant: Plant, body: BodyMotion, time: Float[Array, ""], dt: float) -> Float[Array, " nv"]:
-    """Joint-space force of the push, on the trunk's centre of mass; its ends count by their share of the tick."""
+    """Joint-space force of the push, on the trunk's center of mass; its ends count by their share of the tick."""
     push = plant.scenario.push
     overlap = jnp.minimum(time + dt, push.start + push.length) - jnp.maximum(time, push.start)
     force = jnp.clip(overlap / dt, 0.0, 1.0) * push.force
@@ -160,22 +162,22 @@ def push_force(plant: Plant, body: BodyMotion, time: Float[Array, ""], dt: float
 
 
 class Forces(eqx.Module):
-    """What the acceleration of a tick follows from."""
+    """Forces and inertias from which the acceleration of a tick follows."""
 
     body: BodyMotion
-    """At the start of the tick."""
+    """Motion of the body at the start of the tick."""
     contact: ground.Contact
-    """At the start of the tick."""
+    """Contact forces at the start of the tick."""
     torque: Float[Array, "2 6"]
-    """Of servos and stops, at the joint speeds of the start of the tick [N m]."""
+    """Torques of servos and stops, at the joint speeds of the start of the tick [N m]."""
     damping: Float[Array, "2 6"]
-    """That servos and stops still owe, see `servo.torque` [N m s/rad]."""
+    """Damping that servos and stops still owe, see `servo.torque` [N m s/rad]."""
     push: Float[Array, " nv"]
     """Joint-space force of the push."""
     qvel: Float[Array, " nv"]
-    """At the start of the tick."""
+    """Joint-space velocity at the start of the tick."""
     gravity: Float[Array, "3"]
-    """[m/s2]"""
+    """Gravitational acceleration [m/s2]."""
     armature: Float[Array, " nv"]
     """Inertia of the rotors per joint [kg m2]."""
     dt: float = eqx.field(static=True)
@@ -193,7 +195,9 @@ def acceleration(forces: Forces) -> Float[Array, " nv"]:
 
 
 @acceleration.defjvp
-def _acceleration_jvp(primals: Any, tangents: Any) -> tuple[Float[Array, " nv"], Float[Array, " nv"]]:
+def _acceleration_jvp(
+    primals: tuple[Forces], tangents: tuple[Forces]
+) -> tuple[Float[Array, " nv"], Float[Array, " nv"]]:
     # One elimination for the acceleration and all its tangents.
     inverse = mjx_adapter.inverse(_matrix(*primals))
     qacc = inverse.times(_force(*primals))
@@ -208,7 +212,7 @@ def _force(forces: Forces) -> Float[Array, " nv"]:
 
 
 def _matrix(forces: Forces) -> mjx_adapter.JointMatrix:
-    """Inertia, and what acts at the end of the tick."""
+    """Joint-space inertia, plus the effect of the forces that act at the end of the tick."""
     body, dt = forces.body, forces.dt
     matrix = jax.tree.map(
         lambda inertia, damping: inertia + dt * damping,
@@ -219,7 +223,7 @@ def _matrix(forces: Forces) -> mjx_adapter.JointMatrix:
 
 
 def balance(forces: Forces, qacc: Float[Array, " nv"]) -> Float[Array, " nv"]:
-    """What is left of all joint-space forces when an acceleration has taken what it needs: zero for the right one."""
+    """Joint-space force that an acceleration leaves over: zero for the right one."""
     body, change = forces.body, forces.dt * qacc
     late = forces.torque - forces.damping * BIPED.leg_speeds(change)
     contact = eqx.tree_at(lambda c: c.force, forces.contact, ground.force_after(body, forces.contact, change))

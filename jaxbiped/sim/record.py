@@ -1,4 +1,4 @@
-"""What is kept of a walk from physics tick to physics tick, whichever engine moves the robot."""
+"""Record of a walk that is kept from physics tick to physics tick, whichever engine moves the robot."""
 
 import equinox as eqx
 import jax
@@ -27,12 +27,12 @@ class Record(eqx.Module):
 
     @classmethod
     def begun(cls, seen: Seen, faults: SensorFaults) -> "Record":
-        """Before the first tick, of a robot that stands."""
+        """Record of a standing robot before the first tick."""
         filtered = jnp.stack([seen.force[..., 2]] * 2)
         return cls(sensors.init_switches(seen.gap, faults), filtered, statistics.init(seen))
 
     def later(self, seen: Seen, time: Float[Array, ""], dt: float, faults: SensorFaults) -> "Record":
-        """After one more tick of `dt` that began at `time` [s]."""
+        """Record after one more tick of `dt` [s] that began at `time` [s]."""
         return Record(
             switches=sensors.read_switches(self.switches, seen.gap, time, dt, faults),
             filtered=low_passed(self.filtered, seen, dt),
@@ -41,7 +41,7 @@ class Record(eqx.Module):
 
     @property
     def failed(self) -> Bool[Array, ""]:
-        """Whether the robot has fallen or failed otherwise."""
+        """Whether the robot has fallen or failed in another way."""
         return self.statistics.status != statistics.OK
 
 

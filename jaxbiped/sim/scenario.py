@@ -11,13 +11,13 @@ from jaxtyping import Array, Float, Int
 
 from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity, Refusal
-from jaxbiped.planner import Gait, at, is_concrete
+from jaxbiped.planner import Gait, Plan, at, is_concrete
 from jaxbiped.robot import LINK_NAMES, SIDE_NAMES, RobotParams
 
 Scalar = Float[Array, "*batch"]
 
 PAD_BEHIND, PAD_AROUND = 0.115, 0.02
-"""How far a pad under a foothold reaches behind the heel, and beyond the other edges of the sole [m]."""
+"""Margins of a pad under a foothold: behind the heel, and beyond the other edges of the sole [m]."""
 
 EDGE_WIDTH = 0.004
 """Width over which a rectangle's edge rises, so that forces are differentiable in its place [m]."""
@@ -57,10 +57,10 @@ RANGES: dict[str, Quantity] = {
     "push_length_s": Quantity("s", 0.0, 10.0),
     "height_m": Quantity("m", -0.2, 0.2),
 }
-"""What the numbers of a scenario may be, by the names of the columns of a scenario table."""
+"""Allowed numbers of a scenario, by the names of the columns of a scenario table."""
 
 
-def _array(value: Any) -> Any:
+def _array(value: object) -> Float[Array, "..."]:
     return jnp.asarray(value, jnp.result_type(float))
 
 
@@ -83,43 +83,43 @@ class Payload(eqx.Module):
     """
 
     mass: Scalar = eqx.field(converter=_array)
-    """[kg]; 0 for none."""
+    """Mass of the load [kg]; 0 for none."""
     time: Scalar = eqx.field(converter=_array)
-    """When it is attached [s] since the start of the walk; 0 for one that is carried from the start."""
+    """Time at which the load is attached, since the start of the walk [s]; 0 for one that is carried from the start."""
     place: Float[Array, "*batch 3"] = eqx.field(converter=_array)
-    """Its centre in the pelvis frame [m]."""
+    """Center of the load in the pelvis frame [m]."""
     size: Scalar = eqx.field(converter=_array)
     """Edge of the cube [m]."""
     end: Scalar = eqx.field(converter=_array, default=NEVER)
-    """When it is taken off [s]; NEVER for one that stays."""
+    """Time at which the load is taken off [s]; NEVER for one that stays."""
 
     def share(self, time: Scalar, dt: float) -> Scalar:
-        """For which part of the tick from `time` on [s] the load is attached, 0 to 1."""
+        """Return the part of the tick from `time` on [s] for which the load is attached, 0 to 1."""
         on, off = (jnp.clip((time + dt - event) / dt, 0.0, 1.0) for event in (self.time, self.end))
         return on - off
 
     @property
     def is_carried(self) -> Array:
-        """Whether the robot settles with the load: one at time 0."""
+        """Whether the robot settles with the load: true for a load at time 0."""
         return self.time <= 0.0
 
 
 class Push(eqx.Module):
-    """A constant force on the trunk's centre of mass for a while."""
+    """A constant force on the trunk's center of mass for a while."""
 
     force: Float[Array, "*batch 3"] = eqx.field(converter=_array)
-    """World axes [N]."""
+    """Force, world axes [N]."""
     start: Scalar = eqx.field(converter=_array)
-    """[s]"""
+    """Time at which the push starts [s]."""
     length: Scalar = eqx.field(converter=_array)
-    """[s]"""
+    """Duration of the push [s]."""
 
 
 class Ground(eqx.Module):
-    """The compliant ground: Hunt-Crossley normal force and regularised Coulomb friction at every sole corner."""
+    """The compliant ground: Hunt-Crossley normal force and regularized Coulomb friction at every sole corner."""
 
     sinkage: Scalar = eqx.field(converter=_array)
-    """How deep the standing robot sinks in on both feet [m]; stiffness = weight / (8 corners x sinkage)."""
+    """Depth to which the standing robot sinks in on both feet [m]; stiffness = weight / (8 corners x sinkage)."""
     damping: Scalar = eqx.field(converter=_array)
     """Relative force per penetration speed, a in N = k d (1 + a d') [s/m]."""
     friction: Scalar = eqx.field(converter=_array)
@@ -129,33 +129,33 @@ class Ground(eqx.Module):
 
 
 class ModelErrors(eqx.Module):
-    """How the simulated robot differs from the one the planner knows."""
+    """Differences between the simulated robot and the one that the planner knows."""
 
     mass_scale: Float[Array, "*batch link"] = eqx.field(converter=_array)
     """Factor on every link's mass and inertia."""
     trunk_com_offset: Float[Array, "*batch 3"] = eqx.field(converter=_array)
-    """Shift of the trunk's centre of mass [m]."""
+    """Shift of the trunk's center of mass [m]."""
     gain_scale: Float[Array, "*batch 2 6"] = eqx.field(converter=_array)
     """Factor on every servo's gains."""
 
 
 class SensorFaults(eqx.Module):
-    """How the sensors are set, and what they get wrong."""
+    """Settings and errors of the sensors."""
 
     delta_z: Float[Array, "*batch 2 4"] = eqx.field(converter=_array)
     """Gap at which each contact switch closes [m]."""
     stuck_open: Float[Array, "*batch 2 4"] = eqx.field(converter=_array)
     """1 for a switch that never closes, else 0."""
     bounce: Scalar = eqx.field(converter=_array)
-    """For how long after closing a switch opens and closes again, every millisecond [s]."""
+    """Time after closing for which a switch opens and closes again, every millisecond [s]."""
     delay: Scalar = eqx.field(converter=_array)
-    """How late every reading arrives [s]; acts in roll-outs whose options have room for it."""
+    """Delay of every reading [s]; acts in roll-outs whose options have room for it."""
     force_noise: Scalar = eqx.field(converter=_array)
     """Standard deviation of every corner force [N]; noise acts in roll-outs whose options ask for it."""
     angle_noise: Scalar = eqx.field(converter=_array)
     """Standard deviation of every joint angle, of roll and of pitch [rad]."""
     seed: Int[Array, "*batch"] = eqx.field(converter=lambda v: jnp.asarray(v, jnp.int32))
-    """Of the noise."""
+    """Seed of the noise."""
 
 
 class Scenario(eqx.Module):
@@ -168,11 +168,11 @@ class Scenario(eqx.Module):
     push: Push
     """The push."""
     ground: Ground
-    """What the ground is like."""
+    """Properties of the ground."""
     errors: ModelErrors
-    """How the robot differs from its record."""
+    """Differences between the robot and its record."""
     sensors: SensorFaults
-    """How its sensors are set and fail."""
+    """Settings and errors of the sensors."""
 
     @classmethod
     def flat(cls, rectangles: SupportsIndex = 8) -> "Scenario":
@@ -199,7 +199,7 @@ class Scenario(eqx.Module):
             ),
         )
 
-    def with_rectangle(self, lower: Any, upper: Any, height: Any) -> "Scenario":
+    def with_rectangle(self, lower: Any, upper: Any, height: Any) -> "Scenario":  # noqa: ANN401
         """Add a level rectangle.
 
         Args:
@@ -232,7 +232,9 @@ class Scenario(eqx.Module):
         )
         return eqx.tree_at(lambda s: s.terrain, self, new)
 
-    def with_obstacle(self, robot: RobotParams, gait: Gait, step: SupportsIndex, height: Any) -> "Scenario":
+    def with_obstacle(
+        self, robot: RobotParams, gait: Gait, step: SupportsIndex, height: object
+    ) -> "Scenario":
         """Put a pad under the foothold of step number `step` (0 is the first), in that foot's lane only.
 
         The pad reaches PAD_BEHIND behind the heel, since a foot that touches early lands short, and PAD_AROUND beyond
@@ -257,7 +259,7 @@ class Scenario(eqx.Module):
         if (used & (low < upper).all(axis=-1) & (lower < high).all(axis=-1)).any():
             raise Refusal(f"step {step}: got an obstacle that overlaps another one, allowed: obstacles apart")
 
-    def with_payload(self, mass: Any, time: Any, end: Any = NEVER) -> "Scenario":
+    def with_payload(self, mass: object, time: Any, end: Any = NEVER) -> "Scenario":  # noqa: ANN401
         """Attach a load to the front of the trunk.
 
         Args:
@@ -278,7 +280,7 @@ class Scenario(eqx.Module):
         new = (_array(mass), _array(time), _array(end))
         return eqx.tree_at(lambda s: (s.payload.mass, s.payload.time, s.payload.end), self, new)
 
-    def with_push(self, force: Any, start: Any, length: Any) -> "Scenario":
+    def with_push(self, force: object, start: object, length: object) -> "Scenario":
         """Push the trunk with a force (3,) [N] from `start` for `length` [s].
 
         Raises:
@@ -289,7 +291,7 @@ class Scenario(eqx.Module):
         length = RANGES["push_length_s"].check("push length", length)
         return eqx.tree_at(lambda s: s.push, self, Push(force=force, start=start, length=length))
 
-    def with_friction(self, friction: Any) -> "Scenario":
+    def with_friction(self, friction: object) -> "Scenario":
         """Change the friction coefficient.
 
         Raises:
@@ -319,7 +321,7 @@ def swing_height(gait: Gait, step: SupportsIndex = 0) -> float:
     return _swing(gait, step)[2]
 
 
-def require_swing_clears(gait: Gait, heights: Mapping[Any, Any]) -> None:
+def require_swing_clears(gait: Gait, heights: Mapping[Any, object]) -> None:
     """Refuse an obstacle under a foothold that is as high as the swing foot goes, or higher.
 
     Args:
@@ -375,7 +377,7 @@ def require_clear_start(robot: RobotParams, gait: Gait, terrain: Terrain) -> Non
             )
 
 
-def _swing(gait: Gait, step: Any) -> tuple[int, np.ndarray, float]:
+def _swing(gait: Gait, step: SupportsIndex) -> tuple[int, np.ndarray, float]:
     """The foot that lands in a step, both soles then (2, 3) [m], and how high the foot goes before it [m]."""
     number = checked.whole("step", step, 0, gait.timing.n_steps - 1)
     with jax.ensure_compile_time_eval():
@@ -384,14 +386,14 @@ def _swing(gait: Gait, step: Any) -> tuple[int, np.ndarray, float]:
 
 
 @runtime.jit
-def _start(gait: Any) -> Float[Array, "2 3"]:
+def _start(gait: Plan) -> Float[Array, "2 3"]:
     """Both soles at the start of a walk."""
     return gait.task(jnp.zeros((), jnp.result_type(float))).sole
 
 
 @runtime.jit
 def _foothold(
-    gait: Any, step: Int[Array, ""]
+    gait: Plan, step: Int[Array, ""]
 ) -> tuple[Int[Array, ""], Float[Array, "2 3"], Float[Array, ""]]:
     """The foot that lands in a step, both soles then, and the height of the swing foot in the middle of the step."""
     timing = gait.timing

@@ -1,11 +1,11 @@
-"""What a physics tick saw at its start: all that sensors, statistics and traces learn of the physics."""
+"""State that a physics tick saw at its start: all that sensors, statistics and traces learn of the physics."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
 
 class Seen(eqx.Module):
-    """Places, orientations and forces at one instant, from whichever engine; with leading axes, at many."""
+    """Places, orientations and forces at one instant, from any engine; with leading axes, at many instants."""
 
     p_world_trunk: Float[Array, "*n 3"]
     """Pelvis frame origin [m]."""

@@ -17,7 +17,7 @@ from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
 Told = Callable[[float], None]
-"""Is told which fraction of something is done."""
+"""Function that is told which fraction of something is done."""
 SEGMENT = 0.5
 """Length of a segment [s]."""
 MAX_ROWS = 25
@@ -43,7 +43,7 @@ def run(
 
 
 def _at_once(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told) -> Walk:
-    """A lane for every scenario."""
+    """Walk all scenarios at once, each in its own lane."""
     states, walked = _begin(simulation, scenarios, _count(ticks)), 0
     stopped = ticks <= 0
     while not stopped:
@@ -55,7 +55,7 @@ def _at_once(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: 
 
 
 def _in_turn(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, lanes: int) -> Walk:
-    """Fewer lanes than scenarios: a lane that has finished takes the next one."""
+    """Walk in fewer lanes than scenarios: a lane that has finished takes the next one."""
     n = len(scenarios.ground.sinkage)
     holds, waiting = np.arange(lanes), lanes
     walks: list[Walk | None] = [None] * n
@@ -79,7 +79,7 @@ def _in_turn(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: 
 
 
 def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told) -> Walk:
-    """A lane for every scenario, and the rows of their traces, the last of which may stand still."""
+    """Walk all scenarios, each in its own lane, and trace them; the last rows of a trace may stand still."""
     rows = ticks // simulation.options.trace_every
     states = _begin(simulation, scenarios, _count(rows * simulation.options.trace_every))
     parts: list[Sample] = []
@@ -115,7 +115,7 @@ def _begin(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""
 
 @runtime.jit
 def _segment(simulation: PureSimulation, states: State) -> tuple[State, Bool[Array, " n"]]:
-    """A segment later, and which walks have stopped."""
+    """Return the states a segment later, and which walks have stopped."""
 
     def further(state: State) -> tuple[State, Bool[Array, ""]]:
         state = jax.lax.fori_loop(0, _ticks(simulation), lambda _, s: simulation.tick(s)[0], state)
@@ -126,7 +126,7 @@ def _segment(simulation: PureSimulation, states: State) -> tuple[State, Bool[Arr
 
 @runtime.jit
 def _traced_segment(simulation: PureSimulation, states: State) -> tuple[State, Sample | None]:
-    """A segment of MAX_ROWS rows later, and the rows."""
+    """Return the states a segment of MAX_ROWS rows later, and the rows."""
     ticks = MAX_ROWS * simulation.options.trace_every
     return jax.vmap(lambda state: sampled(simulation.tick, state, ticks, MAX_ROWS))(states)
 

@@ -1,6 +1,4 @@
-"""From the simulated world to `Sensed`: what the robot's own sensors would say."""
-
-from typing import Any
+"""Simulated sensors: from the simulated world to `Sensed`, the readings of the robot's own sensors."""
 
 import equinox as eqx
 import jax
@@ -17,21 +15,21 @@ from jaxbiped.sim.scenario import SensorFaults
 from jaxbiped.sim.seen import Seen
 
 BOUNCE_PERIOD = 1e-3
-"""For how long a bouncing switch stays open or closed [s]."""
+"""Time for which a bouncing switch stays open or closed [s]."""
 LOADED = 1.0
-"""Sum of the vertical forces above which they have a centre [N]."""
+"""Sum of the vertical forces above which their center is defined [N]."""
 _FEET = np.array([LINK_NAMES.index(f"{side}_foot") for side in SIDE_NAMES])
 """Numbers of the feet among the links."""
 
 
 class SwitchState(eqx.Module):
-    """What the contact switches remember between two ticks."""
+    """State of the contact switches between two ticks."""
 
     closed: Bool[Array, "2 4"]
     gap: Float[Array, "2 4"]
     """Gap at the last reading [m]."""
     time: Float[Array, "2 4"]
-    """When each last closed [s]."""
+    """Time at which each switch last closed [s]."""
 
 
 def init_switches(gap: Float[Array, "2 4"], faults: SensorFaults) -> SwitchState:
@@ -52,7 +50,7 @@ def read_switches(
 
 
 def bouncing(state: SwitchState, time: Float[Array, ""], faults: SensorFaults) -> Bool[Array, "2 4"]:
-    """What the switches say at `time` [s]: for a while after closing they open every other millisecond."""
+    """Reading of the switches at `time` [s]: for a while after closing they open every other millisecond."""
     since = time - state.time
     opened = (since < faults.bounce) & (jnp.floor(since / BOUNCE_PERIOD) % 2 == 1)
     return state.closed & ~opened
@@ -66,7 +64,7 @@ def roll_pitch_yaw(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
 
 
 def centre_of_pressure(seen: Seen, otherwise: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Centre of the vertical forces at the corners, seen from above [m]; `otherwise` while nothing is loaded."""
+    """Center of the vertical forces at the corners, seen from above [m]; `otherwise` while nothing is loaded."""
     weight = seen.force[..., 2]
     total = weight.sum()
     loaded = total > LOADED
@@ -112,14 +110,14 @@ class _Noise(eqx.Module):
     """Errors of one reading."""
 
     force: Float[Array, "2 4"]
-    """[N]"""
+    """Error of every corner force [N]."""
     angle: Float[Array, "2 6"]
-    """[rad]"""
+    """Error of every joint angle [rad]."""
     roll_pitch: Float[Array, "2"]
-    """[rad]"""
+    """Error of roll and pitch [rad]."""
 
 
-def _draw_noise(faults: SensorFaults, tick: Int[Array, ""], dtype: Any) -> _Noise:
+def _draw_noise(faults: SensorFaults, tick: Int[Array, ""], dtype: np.dtype) -> _Noise:
     keys = jax.random.split(jax.random.fold_in(jax.random.key(faults.seed), tick), 3)
     return _Noise(
         force=faults.force_noise * jax.random.normal(keys[0], (2, 4), dtype),
@@ -141,8 +139,8 @@ def add_noise(
 
     What is measured: the vertical force at every sole corner, every joint angle, roll and pitch. What follows:
 
-        zmp_world       centre of the noisy forces at the true corners
-        zmp_body        centre of the noisy forces at the corners where noisy joint angles, roll and pitch put them
+        zmp_world       center of the noisy forces at the true corners
+        zmp_body        center of the noisy forces at the corners where noisy joint angles, roll and pitch put them
         ankle_wrench    that of the noisy forces, in the true foot axes
         speed           the noisy angles' change since the last reading, over `control_dt`
 
@@ -170,7 +168,7 @@ def add_noise(
     scale = jnp.where(loaded, 1.0 / jnp.where(loaded, total, 1.0), 0.0)
 
     def shift(corner: Float[Array, "2 4 2"], zmp: Float[Array, "2"]) -> Float[Array, "2"]:
-        """By how much the centre of all forces moves with the noisy ones."""
+        """Shift of the center of all forces by the noisy ones."""
         return scale * jnp.einsum("fc,fci->i", noise.force, corner - zmp)
 
     up = rot_foot[:, 2]  # the world's vertical in foot axes
@@ -208,11 +206,11 @@ class Delay(eqx.Module):
     """The last few readings; what arrives is one of them. `time` is the robot's own clock and is never late."""
 
     readings: Sensed
-    """Leading axis: how many control ticks old."""
+    """Readings; the leading axis is their age in control ticks."""
 
     @classmethod
     def filled(cls, sensed: Sensed, room: int) -> "Delay":
-        """As if the robot had stood before the start."""
+        """Delay of a robot that has stood before the start."""
         return cls(jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (room + 1, *leaf.shape)), sensed))
 
     def push(self, sensed: Sensed, delay: Float[Array, ""], control_dt: float) -> tuple["Delay", Sensed]:

@@ -13,17 +13,17 @@ from jaxbiped.robot import Servo
 
 
 class Reference(eqx.Module):
-    """What the servos are told."""
+    """Reference that the servos follow."""
 
     angle: Float[Array, "2 6"]
-    """[rad]"""
+    """Joint angles [rad]."""
     speed: Float[Array, "2 6"]
-    """[rad/s]"""
+    """Joint speeds [rad/s]."""
     feed_forward: Float[Array, "2 6"]
     """Torque added to the servo's own [N m]."""
 
     def later(self, dt: Float[Array, ""] | float) -> "Reference":
-        """The same reference `dt` seconds on, at constant speed."""
+        """Return the reference `dt` seconds later, at constant speed."""
         return Reference(self.angle + dt * self.speed, self.speed, self.feed_forward)
 
 

@@ -43,7 +43,7 @@ class Simulation(PureSimulation):
     def run_many(
         self, scenarios: Scenario, duration: float, told: Told | None = None, lanes: int | None = None
     ) -> Walk:
-        """The same for scenarios with a leading axis, which the walks have too.
+        """Walk in many scenarios, which have a leading axis, as has the walk that is returned.
 
         Args:
             scenarios: what is walked in.
@@ -98,7 +98,7 @@ def rollout(
 def require_allowed(
     robot: RobotParams, controller: Controller, scenarios: Scenario, duration: float, options: Options
 ) -> None:
-    """Refuse what cannot be walked, before anything is compiled; of scenarios only numbers that are known.
+    """Refuse inputs that cannot be walked, before anything is compiled; of scenarios only numbers that are known.
 
     Raises:
         ValueError: for a duration, a terrain or a tick that is not allowed.
@@ -113,5 +113,5 @@ def require_allowed(
 
 
 def rectangles_of(scenario: Scenario) -> int:
-    """How many rectangles there is room for."""
+    """Number of rectangles that a terrain has room for."""
     return scenario.terrain.height.shape[-1]

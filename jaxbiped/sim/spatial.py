@@ -4,7 +4,7 @@ MJX simulates; this is what a tick is differentiated by. With world axes and one
 recursions along a leg are running sums: a link moves with the sum of what the joints before it do, and a joint carries
 the sum of what the links after it need.
 
-Spatial vectors are (angular, linear) about the reference point, the robot's centre of mass.
+Spatial vectors are (angular, linear) about the reference point, the robot's center of mass.
 """
 
 import equinox as eqx
@@ -20,7 +20,7 @@ class Links(eqx.Module):
     axes: Float[Array, "nv 6"]
     """Spatial motion per unit of each qvel."""
     inertia: Float[Array, "link 10"]
-    """Of the trunk and of the links of both legs: xx, yy, zz, xy, xz, yz, first moment, mass."""
+    """Inertia of the trunk and of the links of both legs: xx, yy, zz, xy, xz, yz, first moment, mass."""
 
 
 class Along(eqx.Module):
@@ -28,11 +28,11 @@ class Along(eqx.Module):
 
     trunk: Float[Array, "6"]
     leg: Float[Array, "2 6 6"]
-    """Last axis but one: from hip to foot."""
+    """Vectors of the links of both legs; the last axis but one goes from hip to foot."""
 
     @property
     def all(self) -> Float[Array, "link 6"]:
-        """Trunk, left leg, right leg."""
+        """Vectors of trunk, left leg and right leg in one array."""
         return jnp.concatenate([self.trunk[None], self.leg.reshape(12, 6)])
 
 
@@ -75,20 +75,20 @@ def _down(trunk: Float[Array, "6"], joints: Float[Array, "2 6 6"]) -> Along:
 
 
 def velocities(axes: Float[Array, "nv 6"], speed: Float[Array, " nv"]) -> Along:
-    """Twist of every link; of a small shift of the coordinates, how every link is displaced."""
+    """Twist of every link; for a small shift of the coordinates, the displacement of every link."""
     moving = axes * speed[:, None]
     return _down(moving[BASE].sum(axis=0), BIPED.leg_rows(moving))
 
 
 def centre_shift(links: Links, moved: Along) -> Float[Array, "3"]:
-    """How the centre of mass, which is the reference point, is displaced."""
+    """Displacement of the center of mass, which is the reference point."""
     first, mass = links.inertia[:, 6:9], links.inertia[:, 9:]
     way = moved.all
     return jnp.sum(mass * way[:, 3:] + cross(way[:, :3], first), axis=0) / mass.sum()
 
 
 def point_shift(moved: Float[Array, "*n 6"], point: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """How a point of a link is displaced, by its place from the reference point."""
+    """Displacement of a point of a link, given its place relative to the reference point."""
     return moved[..., 3:] + cross(moved[..., :3], point)
 
 

@@ -1,4 +1,4 @@
-"""Which physics tick is short enough for a robot's servos on its ground: the tick linearized, on the host.
+"""Longest physics tick for a robot's servos on its ground: the tick linearized, on the host.
 
 Ground, stops and the servos' damping are taken implicitly and bound no tick. What is left is the servos' stiffness,
 which acts at the start of a tick, against the inertia that it moves: of a leg in the air, whose foot is light, or of
@@ -22,7 +22,7 @@ LONGEST_DT = 0.01
 FASTEST_GROWTH = 20.0
 """Growth of a small disturbance that may be physics [1/s]; that of a tick too long is faster by orders of magnitude."""
 _BEND = 0.6
-"""Of the knees in the posture that is looked at [rad]."""
+"""Bend of the knees in the posture that is examined [rad]."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class _Linear:
 
     inertia: np.ndarray
     spring: np.ndarray
-    """Of the servos, explicit."""
+    """Stiffness of the servos, explicit."""
     damping: np.ndarray
-    """Of the servos, implicit."""
+    """Damping of the servos, implicit."""
     ground: np.ndarray
     """Stiffness of the ground under all corners, implicit."""
 
     def grows(self, dt: float) -> bool:
-        """Whether a small disturbance does, in the air or on the ground, with ticks of dt [s]."""
+        """Whether a small disturbance grows with ticks of dt [s], in the air or on the ground."""
         return max(self._growth(dt, 0.0), self._growth(dt, 1.0)) > FASTEST_GROWTH
 
     def _growth(self, dt: float, pressed: float) -> float:

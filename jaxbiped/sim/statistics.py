@@ -14,30 +14,30 @@ from jaxbiped.sim.sensors import roll_pitch_yaw
 
 OK, FELL, NONFINITE, AIRBORNE = 0, 1, 2, 3
 STATUS_TEXT = ("ok", "fell", "nonfinite", "airborne")
-"""What the robot did over the whole of a walk."""
+"""Words for the status of a whole walk."""
 FALL_TILT = math.radians(45.0)
 """Trunk tilt at which a robot counts as fallen [rad]."""
 FALL_HEIGHT = 0.6
 """Height of the pelvis over the lower foot, as a share of that at the start, below which it counts as fallen."""
 AIRBORNE_TIME = 0.5
-"""For how long a robot may be without any ground force before it counts as carried off [s]: gaits have no flight."""
+"""Time without any ground force after which a robot counts as carried off [s]: gaits have no flight."""
 TOUCHING = 1.0
 """Vertical force of both feet together below which there is no ground force [N]."""
 LOADED = 50.0
 """Vertical force over which a foot counts as loaded [N]."""
 TOUCHDOWN = 0.1
-"""For how long after it was loaded a foot is touching down [s]."""
+"""Time after it was loaded for which a foot is touching down [s]."""
 
 
 class Statistics(eqx.Module):
-    """What is kept of a roll-out."""
+    """Statistics that are kept of a roll-out."""
 
     status: Int[Array, ""]
     """OK, FELL, NONFINITE or AIRBORNE; the first failure stays."""
     end_time: Float[Array, ""]
     """Time of the first failure, or the time reached [s]."""
     peak_roll_pitch: Float[Array, "2"]
-    """Largest magnitude [rad]."""
+    """Largest magnitude of roll and of pitch [rad]."""
     peak_foot_force: Float[Array, "2"]
     """Largest vertical force on each foot [N]."""
     peak_slip: Float[Array, "2"]
@@ -45,28 +45,28 @@ class Statistics(eqx.Module):
     peak_touchdown_force: Float[Array, "2"]
     """Largest vertical force on each foot within TOUCHDOWN after it was loaded [N]."""
     peak_touchdown_impulse: Float[Array, "2"]
-    """Largest integral of that force over one touchdown [N s]."""
+    """Largest integral over one touchdown of the vertical force on each foot [N s]."""
     zmp_margin: Float[Array, ""]
-    """Smallest distance of the centre of pressure from the edge of the soles of the loaded feet, seen from above [m];
+    """Smallest distance of the center of pressure from the edge of the soles of the loaded feet, seen from above [m];
     0 on an edge; at control ticks."""
     reach_margin: Float[Array, ""]
-    """By how much the most stretched leg asked for stayed below the longest one, negative beyond it [m]."""
+    """Smallest difference between the longest leg and the most stretched one asked for, negative beyond reach [m]."""
     support_time: Float[Array, ""]
-    """When there was any ground force last [s]."""
+    """Last time with any ground force [s]."""
     touch_time: Float[Array, "2"]
-    """When each foot was loaded last, interpolated inside the tick [s]; -1 at the start."""
+    """Time at which each foot was loaded last, interpolated inside the tick [s]; -1 at the start."""
     touch_impulse: Float[Array, "2"]
     """Integral of the vertical force over the touchdown of each foot so far [N s]."""
     anchor: Float[Array, "2 2"]
-    """Where each foot was when it was loaded last, interpolated likewise [m]."""
+    """Place of each foot when it was loaded last, interpolated inside the tick [m]."""
     loaded: Bool[Array, "2"]
     """Whether each foot is loaded."""
     foot_force: Float[Array, "2"]
     """Vertical force on each foot in the last tick [N]."""
     p_world_foot: Float[Array, "2 2"]
-    """Where each foot was at the start of it, seen from above [m]."""
+    """Place of each foot at the start of the last tick, seen from above [m]."""
     out_of_reach_time: Float[Array, ""]
-    """For how long the targets were beyond the legs' reach or joint ranges [s]."""
+    """Time for which the targets were beyond the legs' reach or joint ranges [s]."""
     p_world_trunk: Float[Array, "3"]
     """Pelvis frame origin, last [m]."""
     pelvis_height: Float[Array, ""]
@@ -74,7 +74,7 @@ class Statistics(eqx.Module):
 
 
 def init(seen: Seen) -> Statistics:
-    """Before the first tick."""
+    """Statistics before the first tick."""
     zero = jnp.zeros((), seen.gap.dtype)
     return Statistics(
         status=jnp.array(OK, jnp.int32),
@@ -100,7 +100,7 @@ def init(seen: Seen) -> Statistics:
 
 
 def update(stats: Statistics, seen: Seen, time: Float[Array, ""], dt: float) -> Statistics:
-    """After one physics tick of `dt` that ended at `time` [s], from what it saw at its start."""
+    """Update the statistics after a physics tick of `dt` that ended at `time` [s], by what it saw at its start."""
     vertical = seen.force[..., 2].sum(axis=1)
     loaded = vertical > LOADED
     landed, left = loaded & ~stats.loaded, stats.loaded & ~loaded
@@ -157,13 +157,13 @@ def update_margins(
     out_of_reach: Bool[Array, ""],
     dt: float,
 ) -> Statistics:
-    """After one control tick of `dt` [s]: what the centre of pressure and the targets asked for leave.
+    """Update the margins after one control tick of `dt` [s], by the center of pressure and the targets asked for.
 
     Args:
         stats: so far.
         robot: nominal.
         seen: in the last physics tick.
-        zmp: centre of pressure [m].
+        zmp: center of pressure [m].
         asked: targets of this tick.
         out_of_reach: whether inverse kinematics had to move them.
         dt: [s].
@@ -182,7 +182,7 @@ def update_margins(
 
 
 def reach_margin(robot: RobotParams, asked: TaskSpace) -> Float[Array, ""]:
-    """How much longer than asked the more stretched leg could be, with level soles [m]."""
+    """Smallest difference between the longest leg and the leg length asked for, with level soles [m]."""
     up = jnp.zeros(3, asked.sole.dtype).at[2].set(robot.ankle_height)
     ankle = asked.sole - asked.pelvis + up
     longest = jnp.stack([leg.reach(robot, side)[1] for side in (0, 1)])

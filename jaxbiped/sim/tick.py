@@ -2,19 +2,19 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from jaxbiped.adapt import Controller, ControllerState, Sensed
 from jaxbiped.kinematics import joint_angles
 from jaxbiped.planner import Targets, TaskSpace, at
 from jaxbiped.robot import RobotParams
 from jaxbiped.robot.layout import BIPED
-from jaxbiped.sim import equilibrium, feed_forward, ground, plant, sensors, statistics
+from jaxbiped.sim import equilibrium, feed_forward, ground, mjx_adapter, plant, sensors, statistics
 from jaxbiped.sim.feed_forward import FeedForward
 from jaxbiped.sim.options import COMPLIANT, MJX, Options
 from jaxbiped.sim.physics import compliant, mjx_contacts
@@ -29,30 +29,30 @@ from jaxbiped.sim.statistics import Statistics
 
 
 class State(eqx.Module):
-    """What a walk carries from control tick to control tick."""
+    """State of a walk between two control ticks."""
 
     world: World
-    """What is walked in; the same in every tick."""
+    """The world that is walked in; the same in every tick."""
     physics: Physics
     record: Record
     controller: ControllerState
     reference: Reference
-    """Of the servos until the next tick."""
+    """Reference of the servos until the next tick."""
     delay: Delay | None
     """Readings on their way; None without sensor delay."""
     zmp: Float[Array, "2"]
-    """Centre of pressure; stays while nothing is loaded [m]."""
+    """Center of pressure; stays while nothing is loaded [m]."""
     time: Float[Array, ""]
-    """Of the last control tick [s]."""
+    """Time of the last control tick [s]."""
     next_time: Float[Array, ""]
-    """Of the next one [s]. Kept from tick to tick, since a product of tick and dt is rounded differently in different
-    expressions (fused multiply-add), and what is decided by a time would be decided differently in one tick."""
+    """Time of the next control tick [s]. It is kept from tick to tick, since a product of tick and dt is rounded
+    differently in different expressions (fused multiply-add), and decisions by it would differ within one tick."""
     left: Int[Array, ""]
     """Control ticks that are left of the walk; with none left it stays as it is."""
 
     @property
     def stopped(self) -> Bool[Array, ""]:
-        """Whether it goes no further: the robot has failed, or the time is over."""
+        """Whether the walk goes no further: the robot has failed, or the time is over."""
         return self.record.failed | (self.left <= 0)
 
 
@@ -60,11 +60,11 @@ class Sample(eqx.Module):
     """One row of a trace; with a leading axis, the trace."""
 
     time: Float[Array, "*n"]
-    """[s]"""
+    """Time of the sample [s]."""
     p_world_trunk: Float[Array, "*n 3"]
     """Pelvis frame origin [m]."""
     roll_pitch_yaw: Float[Array, "*n 3"]
-    """Of the trunk [rad]."""
+    """Roll, pitch and yaw of the trunk [rad]."""
     p_world_sole: Float[Array, "*n 2 3"]
     """Origins of the sole frames [m]."""
     foot_force: Float[Array, "*n 2 3"]
@@ -72,7 +72,7 @@ class Sample(eqx.Module):
     corner_force: Float[Array, "*n 2 4"]
     """Vertical force on each sole corner [N]."""
     zmp_world: Float[Array, "*n 2"]
-    """Centre of pressure [m]."""
+    """Center of pressure [m]."""
     switch: Bool[Array, "*n 2 4"]
     """Contact switches."""
     torque: Float[Array, "*n 2 6"]
@@ -80,7 +80,7 @@ class Sample(eqx.Module):
     qpos: Float[Array, "*n nq"]
     """MuJoCo coordinates, for replay and drawing."""
     targets: Targets
-    """What the controller asked for."""
+    """Targets that the controller asked for."""
     filtered_corner_force: Float[Array, "*n 2 4"]
     """Vertical force on each sole corner, low-passed by `record.low_passed` [N]."""
 
@@ -93,17 +93,17 @@ class Walk(eqx.Module):
     controller: ControllerState | None = None
     """State of the controller at the end; None where the walk was led by given references."""
     integral: Float[Array, " m"] | None = None
-    """Integral over time of what `Simulation.walk` was asked to integrate."""
+    """Integral over time of the rate given to `PureSimulation.walk`."""
 
 
 ENDLESS = 2**31 - 1
 """Control ticks of a walk that is ended from outside."""
 Rate = Callable[[Sample, Bool[Array, ""]], Float[Array, " m"]]
-"""What is to be integrated over a walk, of one sample and of whether the robot has not failed so far."""
+"""Function of a sample, and of whether the robot has not failed so far: the rate that is integrated over a walk."""
 
 
 ENGINES: dict[str, Advance] = {COMPLIANT: compliant.advance, MJX: mjx_contacts.advance}
-"""By `Options.contact`, what moves the robot in a pure tick; C MuJoCo moves whole walks, see `lockstep`."""
+"""Engine of a pure tick, by `Options.contact`; C MuJoCo moves whole walks, see `lockstep`."""
 C = TypeVar("C")
 _Self = TypeVar("_Self", bound="PureSimulation")
 
@@ -112,25 +112,25 @@ class PureSimulation(eqx.Module):
     """A robot, its controller and options, ready to walk in any scenario."""
 
     robot: RobotParams
-    """Nominal."""
+    """The nominal robot."""
     controller: Controller
     """Gait and adaptation."""
-    model: Any
+    model: mjx_adapter.Model
     """MJX model of the robot."""
     torque: FeedForward
     """Feed-forward torques of the plan."""
     options: Options = eqx.field(static=True)
-    """All else that decides what is compiled."""
+    """All other choices that decide what is compiled."""
 
     def led_by(self: _Self, controller: Controller) -> _Self:
-        """The same robot and options with another controller; pure, whose gait may last 1.3 times as long."""
+        """Return the simulation with another controller, whose gait may last 1.3 times as long; pure."""
         table = self.torque
         if self.options.feed_forward:
             table = feed_forward.plan(self.robot, controller.gait, table.torque.shape[0], table.interval)
         return dataclasses.replace(self, controller=controller, torque=table)
 
     def start(self, scenario: Scenario, ticks: int | Int[Array, ""] = ENDLESS) -> State:
-        """Standing still at t = 0, servos settled, feet loaded, so many control ticks before it; pure."""
+        """State at t = 0: standing still, servos settled, feet loaded, with a number of control ticks ahead; pure."""
         world = plant.make_plant(self.robot, self.model, scenario, self.options.payload_model)
         targets = at(self.controller.gait, 0.0)
         reference = servo_reference(self.robot, targets, self.torque)[0]
@@ -164,7 +164,7 @@ class PureSimulation(eqx.Module):
         )
 
     def conclude(self, state: State, physics: Physics, record: Record, seen: Seen) -> tuple[State, Sample]:
-        """What a control tick does once the robot has moved; the same for every engine; pure.
+        """Finish a control tick once the robot has moved; the same for every engine; pure.
 
         Args:
             state: before the tick.
@@ -216,7 +216,7 @@ class PureSimulation(eqx.Module):
                 assert isinstance(ticks, int)
                 rows, ticks = ticks // options.trace_every, ticks - ticks % options.trace_every
 
-        def advance(carry: tuple[State, Any]) -> tuple[tuple[State, Any], Sample]:
+        def advance(carry: tuple[State, PyTree]) -> tuple[tuple[State, PyTree], Sample]:
             state, total = carry
             state, sample = self.tick(state)
             if rate is not None:
@@ -228,7 +228,7 @@ class PureSimulation(eqx.Module):
         return Walk(state.record.statistics, trace, state.controller, total)
 
     def ticks(self, duration: float) -> int:
-        """Control ticks of so long a walk [s]."""
+        """Number of control ticks of a walk of this duration [s]."""
         return round(duration / self.options.control_dt)
 
 
@@ -258,7 +258,7 @@ def sampled(
 
 
 def _zero_of(rate: Rate, simulation: PureSimulation, state: State) -> Float[Array, " m"]:
-    """An integral before the start."""
+    """Value of an integral before the start."""
     shape = jax.eval_shape(lambda s: rate(simulation.tick(s)[1], jnp.ones((), bool)), state)
     return jnp.zeros(shape.shape, shape.dtype)
 
@@ -273,7 +273,7 @@ def _sense(
     time: Float[Array, ""],
     delay: Delay | None,
 ) -> tuple[Sensed, Delay | None]:
-    """What reaches the controller: the readings, with their noise and their delay if the options ask for them."""
+    """Return the readings that reach the controller, with noise and delay if the options ask for them."""
     faults = world.scenario.sensors
     sensed = sensors.sense(seen, physics.qpos, physics.qvel, record.switches, zmp, time, faults)
     if options.noise:

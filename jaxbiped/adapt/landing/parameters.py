@@ -116,8 +116,8 @@ class Landing(Stage):
     )
 
     @classmethod
-    def paper(cls, **parameters: Any) -> "Landing":
-        """Eqs. 6-16 to the letter: every switch off that is not given.
+    def paper(cls, **parameters: Any) -> "Landing":  # noqa: ANN401
+        """Parameters of Eqs. 6-16 to the letter: every switch off that is not given.
 
         Raises:
             TypeError: for a parameter that there is not.
@@ -127,12 +127,12 @@ class Landing(Stage):
         return cls(**{**dict.fromkeys(switches(cls), False), **parameters})
 
     @classmethod
-    def repaired(cls, **parameters: Any) -> "Landing":
-        """With every repair that is not switched off; errors as of `paper`."""
+    def repaired(cls, **parameters: Any) -> "Landing":  # noqa: ANN401
+        """Parameters with every repair that is not switched off; raises the errors of `paper`."""
         require_names(cls, parameters)
         return cls(**parameters)
 
     @classmethod
-    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: Any) -> "Landing":
-        """`paper` or `repaired`, and errors as from there."""
+    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "Landing":
+        """Parameters of the variant `paper` or `repaired`; raises their errors."""
         return {"paper": cls.paper, "repaired": cls.repaired}[variant](**parameters)

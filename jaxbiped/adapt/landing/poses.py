@@ -43,7 +43,7 @@ def ground_height(p: Landing, state: LandingState, phase: Phase, tau: Scalar) ->
 
 
 def set_down(p: Landing, state: LandingState, tau: Scalar) -> tuple[Scalar, Scalar]:
-    """x_mod and z_mod (Eqs. 6 and 7)."""
+    """Return x_mod and z_mod (Eqs. 6 and 7)."""
     since = tau - state.touch_tau
     x_mod, z_mod = (
         quintic_to_rest(since, state.T_mod, state.touch[1, i], state.touch[2, i], way)

@@ -34,13 +34,13 @@ class LandingStage(PlannedStage):
     """The landing stage for one planned walk."""
 
     params: Landing
-    """Parameters."""
+    """Parameters of the stage."""
     T_mod: Scalar
     """Nominal time to set the foot down [s]."""
     delta_x: Float[Array, "n_steps"]
-    """Sagittal way the plan's foot goes in its last T_mod, every step [m]."""
+    """Sagittal distance that the plan's foot covers in its last T_mod, for every step [m]."""
     first_phase: Phase
-    """At the start of the walk."""
+    """Phase at the start of the walk."""
 
     @classmethod
     def plan(cls, params: Landing, gait: Gait) -> "LandingStage":
@@ -51,7 +51,7 @@ class LandingStage(PlannedStage):
         return cls(params, T_mod, delta_x, gait.phase(jnp.zeros_like(T_mod)))
 
     def init(self) -> LandingState:
-        """Before the first tick."""
+        """State before the first tick."""
         zero, no = jnp.zeros_like(self.T_mod), jnp.zeros((), bool)
         return LandingState(
             phase=self.first_phase,

@@ -16,13 +16,13 @@ class LandingState(eqx.Module):
     phase: Phase
     """Phase at the last tick."""
     time: Scalar
-    """Of the last tick [s]."""
+    """Time of the last tick [s]."""
     aloft: Bool[Array, ""]
     """Whether all switches of the swing foot have been open in this step, up to T_s."""
     touched: Bool[Array, ""]
     """Whether the swing foot has touched in this step."""
     late: Bool[Array, ""]
-    """Whether it did so after T_s."""
+    """Whether the swing foot has touched after T_s."""
     descended: Scalar
     """Descent of foot and pelvis at the touch [m]."""
     touch_tau: Scalar
@@ -32,7 +32,7 @@ class LandingState(eqx.Module):
     T_mod: Scalar
     """Time to set the foot down in this step [s]."""
     delta_x: Scalar
-    """Sagittal way of setting it down [m]."""
+    """Sagittal distance over which the foot is set down [m]."""
     foot_offset: Float[Array, "2 2"]
     """Offset of each foot at the start of this step, x and z [m]."""
     pelvis_offset: Scalar

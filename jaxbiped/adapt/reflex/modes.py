@@ -33,7 +33,7 @@ parabola about the tick of the trigger is out by."""
 
 
 def mode_ends(stage: PlannedReflex, state: PayloadState, timing: Timing) -> Float[Array, "6"]:
-    """When each mode ends, by its number [s]."""
+    """Time at which each mode ends, by its number [s]."""
     p, step = stage.params, recovery_step(stage, state, timing)
     lengths = [
         state.trigger_time,
@@ -120,7 +120,7 @@ def applied_shift(stage: PlannedReflex, state: PayloadState, time: Scalar) -> Sc
 
 
 def ramp(state: PayloadState, begin: Scalar, length: Scalar, time: Scalar) -> Scalar:
-    """From 0 at `begin` to 1 `length` later, in the tick to come.
+    """Rise from 0 at `begin` to 1 after `length`, in the tick to come.
 
     Servos are told a speed for a whole tick: where the ramp begins or ends inside it, its mean over the tick.
     """

@@ -4,6 +4,7 @@
 listed in docs/papers.md; in `repaired` every repair is a switch of its own.
 """
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -19,9 +20,9 @@ from jaxbiped.robot import RobotParams, on_device
 Scalar = Float[Array, ""]
 
 FORCE_TIME_CONSTANT = 0.09975
-"""Of lambda = 5e-3 per tick of 0.5 ms, the thesis' force filter [s]."""
+"""Time constant of the thesis' force filter, lambda = 5e-3 per tick of 0.5 ms [s]."""
 ZMP_TIME_CONSTANT = 0.99975
-"""Of lambda = 5e-4 per tick of 0.5 ms, the thesis' ZMP filter [s]."""
+"""Time constant of the thesis' ZMP filter, lambda = 5e-4 per tick of 0.5 ms [s]."""
 SMALLEST_LOAD = 40.0
 """Weight over which a load is to start the reflex [N]: 15 kg put on at 1.2 and 1.3 s set off the thesis' reflex after
 30.5 and 32.5 ms, when its filter has risen by 39 and 41 N."""
@@ -217,14 +218,14 @@ class PayloadReflex(Stage):
                 )
 
     @classmethod
-    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """`original`, `modified` or `repaired`, and errors as from there."""
+    def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
+        """Parameters of the variant `original`, `modified` or `repaired`; raises their errors."""
         make = {"original": cls.original, "modified": cls.modified, "repaired": cls.repaired}
         return make[variant](robot, gait, **parameters)
 
     @classmethod
-    def original(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """Eqs. 3.7-3.40: settling 2 s.
+    def original(cls, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
+        """Parameters of Eqs. 3.7-3.40, with settling 2 s.
 
         Raises:
             TypeError: for a parameter that there is not.
@@ -233,13 +234,13 @@ class PayloadReflex(Stage):
         return cls._literal(robot, gait, {"x_reflex": X_REFLEX_ORIGINAL, "settling_time": 2.0, **parameters})
 
     @classmethod
-    def modified(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """With Eqs. 4.5, 4.6 and settling 4 s; errors as of `original`."""
+    def modified(cls, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
+        """Parameters with Eqs. 4.5, 4.6 and settling 4 s; raises the errors of `original`."""
         return cls._literal(robot, gait, {"x_reflex": X_REFLEX_MODIFIED, "settling_time": 4.0, **parameters})
 
     @classmethod
-    def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":
-        """With every repair; the feet stay where they are or come down. Errors as of `original`."""
+    def repaired(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":  # noqa: ANN401
+        """Parameters with every repair; feet stay where they are or come down. Raises the errors of `original`."""
         require_names(cls, parameters)
         ours = {"x_reflex": X_REFLEX_NONE, "reflex_time": 0.5}
         if "x_stand" not in parameters:
@@ -253,8 +254,8 @@ class PayloadReflex(Stage):
         return cls(**{**_of_plan(robot, gait, parameters), **off, **parameters})
 
 
-def _of_plan(robot: RobotParams, gait: Gait, given: dict[str, Any]) -> dict[str, Scalar]:
-    """What a robot and its plan say about the parameters that are not given."""
+def _of_plan(robot: RobotParams, gait: Gait, given: Mapping[str, object]) -> dict[str, Scalar]:
+    """Values that robot and plan imply for the parameters that are not given."""
     says = {
         "zmp_balanced": lambda: standing_zmp(robot, gait),
         "threshold": lambda: SMALLEST_LOAD + planned_ripple(robot, gait),
@@ -270,7 +271,7 @@ def planned_ripple(robot: RobotParams, gait: Gait, samples_per_step: int = 60) -
 
 
 def standing_zmp(robot: RobotParams, gait: Gait) -> Scalar:
-    """ZMP forward of the pelvis [m] of the robot standing still as in mid double support: its centre of mass."""
+    """ZMP forward of the pelvis [m] of the robot standing still as in mid double support: its center of mass."""
     task = gait.task(resume_plan_times(gait)[min(1, gait.timing.n_steps)])
     angle, _ = body.joint_angles(robot, task.sole - task.pelvis)
     pose = body.pose(robot, jnp.zeros(3, angle.dtype), jnp.eye(3, dtype=angle.dtype), angle)

@@ -12,7 +12,7 @@ from jaxbiped.robot import LEFT, RIGHT
 
 Scalar = Float[Array, ""]
 WALK, REFLEX, SETTLE, SHIFT, RECOVER, HOLD = range(6)
-"""Modes."""
+"""Modes of the payload reflex."""
 
 
 class PayloadState(eqx.Module):
@@ -21,31 +21,31 @@ class PayloadState(eqx.Module):
     mode: Int[Array, ""]
     """WALK, REFLEX, SETTLE, SHIFT, RECOVER or HOLD."""
     time: Scalar
-    """Of the last reading [s]; negative before the first."""
+    """Time of the last reading [s]; negative before the first."""
     tick: Scalar
-    """From the reading before to the last one [s]: the tick to come is taken to be as long; 0 at the first."""
+    """Time between the last two readings [s], which the tick to come is taken to last too; 0 at the first reading."""
     force: Scalar
     """Low-passed sum of the vertical foot forces [N]."""
     slow_force: Scalar
-    """The same, by the slower low-pass [N]."""
+    """Sum of the vertical foot forces after the slower low-pass [N]."""
     zmp: Scalar
     """Low-passed ZMP forward of the pelvis [m]."""
     weight: Scalar
     """Low-passed force that is taken for normal [N]."""
     reflexes: Int[Array, ""]
-    """How many reflexes there have been."""
+    """Number of reflexes so far."""
     trigger_time: Scalar
-    """When the last reflex started [s]: a control tick after the force had left the band."""
+    """Time at which the last reflex started [s]: a control tick after the force had left the band."""
     trigger_plan_time: Scalar
-    """Plan time then [s]."""
+    """Plan time at the start of the last reflex [s]."""
     support: Int[Array, ""]
     """Support phase at the tick that felt the load."""
     swing: Int[Array, ""]
-    """The foot that swung then, or swung last."""
+    """The foot that swung at the tick that felt the load, or that swung last."""
     start_sole: Float[Array, "2 3"]
-    """Soles in the world then [m]."""
+    """Soles in the world at the start of the last reflex [m]."""
     start: Float[Array, "3 2 3"]
-    """Position, velocity, acceleration of the soles in the body frame then [m]."""
+    """Position, velocity, acceleration of the soles in the body frame at the start of the last reflex [m]."""
     end: Float[Array, "2 3"]
     """Soles in the body frame at the end of the reflex [m]."""
     next_step: Int[Array, ""]
@@ -55,14 +55,14 @@ class PayloadState(eqx.Module):
     x_shift_new: Scalar
     """Shift of x_ref that is wanted [m]."""
     resume_time: Scalar
-    """When the walk went on [s]."""
+    """Time at which the walk went on [s]."""
     resume_plan_time: Scalar
-    """Plan time then [s]."""
+    """Plan time at which the walk went on [s]."""
     world_shift: Scalar
     """Forward offset of the walk relative to the plan [m]."""
 
     def share(self, since: Scalar) -> Scalar:
-        """A time [s] as a share of a tick, within 0 and 1; 1 before there is one."""
+        """Convert a time [s] to a share of a tick, within 0 and 1; 1 before the first tick."""
         ticking = self.tick > 0.0
         return jnp.where(ticking, jnp.clip(since / jnp.where(ticking, self.tick, 1.0), 0.0, 1.0), 1.0)
 
@@ -90,13 +90,13 @@ class PlannedReflex(PlannedStage):
     """The payload reflex for one planned walk, without its tick."""
 
     params: PayloadReflex
-    """Parameters."""
+    """Parameters of the stage."""
     resume_plan_time: Float[Array, " n"]
     """Plan time from which the walk goes on with each step, and at rest after the last [s]."""
     foothold: Float[Array, "n 2"]
-    """Where the soles are then, forward in the world [m]."""
+    """Forward place of the soles in the world at each `resume_plan_time` [m]."""
     stance: Float[Array, "n 2 3"]
-    """Soles in the body frame then [m]."""
+    """Soles in the body frame at each `resume_plan_time` [m]."""
     stride: Scalar
     """Distance of the soles in double support, 2 b_s [m]."""
     sway: Scalar
@@ -106,7 +106,7 @@ class PlannedReflex(PlannedStage):
 
 
 def decided(choice: Int[Array, ""]) -> Int[Array, ""]:
-    """The same small number >= 0, computed once and read by all that goes by it.
+    """Return the same small number >= 0, computed once and read by everything that depends on it.
 
     XLA fuses a comparison into each of its uses and may contract products and sums differently there; half a record
     would go one way, half the other. A sort it neither fuses nor makes twice; lax.optimization_barrier is gone by then.

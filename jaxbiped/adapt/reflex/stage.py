@@ -51,7 +51,7 @@ class PayloadStage(PlannedReflex):
         )
 
     def init(self) -> PayloadState:
-        """Before the first tick."""
+        """State before the first tick."""
         zero, count = jnp.zeros_like(self.sway), jnp.zeros((), jnp.int32)
         return PayloadState(
             mode=count + WALK,
@@ -107,7 +107,7 @@ class PayloadStage(PlannedReflex):
         return {"reflexes": state.reflexes, "trigger_s": begun}
 
     def longest_delay(self, gait: Gait, changes: int) -> float:
-        """A reflex for every change of weight, each with the longest recovery step [s]."""
+        """Longest delay: a reflex for every change of weight, each with the longest recovery step [s]."""
         p, timing = self.params, gait.timing
         recovery = 2.2 * float(timing.T_s) + float(timing.T_c)
         once = float(p.reflex_time + 1.5 * p.settling_time + p.shift_time) + recovery

@@ -152,7 +152,7 @@ def phase_at(stage: PlannedReflex, state: PayloadState, plan: Targets, timing: T
 
 
 def resume_lead(stage: PlannedReflex, state: PayloadState, timing: Timing) -> Scalar:
-    """From the walk's going on to its next lift-off [s]."""
+    """Time from the resumption of the walk to its next lift-off [s]."""
     lead = timing.liftoff(state.next_step) - stage.resume_plan_time[state.next_step]
     on_the_way = (state.next_step > 0) & (state.next_step < timing.n_steps)
     lead = jnp.where(on_the_way & stage.params.smooth_resume, 2.0 * lead, lead)

@@ -21,7 +21,7 @@ from jaxbiped.planner import RECOVERY_STEP, SINGLE_SUPPORT, Phase, Targets, Timi
 
 Scalar = Float[Array, ""]
 _NOTHING, _FAST, _SLOW = range(3)
-"""Which low-pass has felt a load."""
+"""Number of the low-pass that has felt a load."""
 
 
 def low_passed(stage: PlannedReflex, state: PayloadState, sensed: Sensed) -> PayloadState:

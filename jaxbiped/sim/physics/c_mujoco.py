@@ -20,9 +20,9 @@ from jaxbiped.sim.servo import Reference
 
 _FEET = BIPED.feet.tolist()
 _SOLE_SITES, _CORNER_SITES = [0, 5], [1, 2, 3, 4, 6, 7, 8, 9]
-"""Numbers of the sites, foot by foot the sole's and its corners'."""
+"""Numbers of the sites of the soles and of their corners, foot by foot."""
 Fields = dict[str, np.ndarray]
-"""Of a record, by name."""
+"""Fields of a record, by name."""
 
 
 class _Lane:
@@ -52,7 +52,7 @@ class _Lane:
         c_world.detach(self.model, self.unloaded)
 
     def set_push(self, share: float) -> None:
-        """Apply a share of the force of the push, on the trunk's own centre of mass."""
+        """Apply a share of the force of the push, on the trunk's own center of mass."""
         force = share * self.push
         arm = self.xmat[TRUNK] @ (self.trunk_com - self.model.body_ipos[TRUNK])
         self.data.xfrc_applied[TRUNK] = np.concatenate([force, np.cross(arm, force)])
@@ -64,7 +64,7 @@ class Robots:
     def __init__(
         self, robot: RobotParams, scenarios: Scenario, options: Options, contacts: list[str], qpos: np.ndarray
     ):
-        """Put them where they start.
+        """Put the robots where they start.
 
         Args:
             robot: nominal.

@@ -29,9 +29,9 @@ CONTACT = Word(CONTACTS)
 IMPEDANCE = 0.9
 """MuJoCo's contact impedance, the same at all depths, so that a contact is a linear spring and damper."""
 OUTER = 50.0
-"""How far raised ground reaches where nothing bounds it [m]."""
+"""Reach of raised ground where nothing bounds it [m]."""
 THICKNESS = 0.1
-"""How far boxes reach below the lowest ground [m]."""
+"""Depth of the boxes below the lowest ground [m]."""
 CORNERS = tuple(f"{side}_{corner}" for side in SIDE_NAMES for corner in CORNER_NAMES)
 """Names of sites, spheres and contact sensors at the sole corners."""
 STIFF_SHARE = 0.5
@@ -49,7 +49,7 @@ _EACH = sum(
     for name in ("FOUND", "FORCE", "POS", "NORMAL", "TANGENT")
 )
 _NET, _ALL = 3, 0
-"""How a contact sensor puts contacts together."""
+"""Ways in which a contact sensor puts contacts together."""
 
 
 # The ground ------------------------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ def contact_time_constant(
 
 
 def resting_depth(robot: RobotParams, sinkage: float, timestep: float, contact: str) -> float:
-    """How far the nominal robot sinks in on both feet [m]: the depth goes with the square of the time constant."""
+    """Depth to which the nominal robot sinks in on both feet [m]; it goes with the square of the time constant."""
     exact = contact_time_constant(robot, sinkage, 0.0)
     return sinkage * (contact_time_constant(robot, sinkage, timestep, contact) / exact) ** 2
 
@@ -197,7 +197,7 @@ def corner_forces(
     """Ground force on every sole corner (*n, 8, 3), world axes [N].
 
     The force of each contact of a box goes to the four corners by the bilinear weights of its place in the sole, so
-    that their sum, and for vertical forces their centre, are those of the contacts.
+    that their sum, and for vertical forces their center, are those of the contacts.
 
     Args:
         robot: nominal.
@@ -254,7 +254,7 @@ def _with_errors(robot: RobotParams, scenario: Scenario) -> RobotParams:
 
 
 def attach(model: mujoco.MjModel, payload: Payload, payload_model: str) -> None:
-    """Give the trunk the mass, centre of mass and inertia of trunk and load in one; contacts stay as they are.
+    """Give the trunk the mass, center of mass and inertia of trunk and load in one; contacts stay as they are.
 
     `exact`: a uniform cube, by the parallel-axis theorem. `thesis`: elkahlout Eqs. 3.8-3.10, where the inertia only
     grows in proportion to the mass.
@@ -288,11 +288,11 @@ _WITH_THE_LOAD = (
     "body_subtreemass",
     "body_sameframe",
 )
-"""What `attach` changes."""
+"""Fields of the model that `attach` changes."""
 
 
 def without_load(model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """What `detach` needs to take a load off again; to be asked before it is attached."""
+    """Return the fields that `detach` needs to take a load off again; call it before `attach`."""
     return {name: getattr(model, name).copy() for name in _WITH_THE_LOAD}
 
 

@@ -48,7 +48,7 @@ def advance(world: Plant, dt: float, reference: Reference, physics: Physics) -> 
 
 
 def seen(body: BodyMotion, touch: Contact, torque: Float[Array, "2 6"]) -> Seen:
-    """What a tick saw of the robot and of the ground."""
+    """Collect the robot's and the ground's state that a tick saw."""
     return Seen(
         p_world_trunk=body.p_world_trunk,
         rot_world_trunk=body.rot_world_trunk,

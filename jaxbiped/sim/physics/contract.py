@@ -1,4 +1,4 @@
-"""What every engine takes and returns."""
+"""Inputs and outputs of every physics engine."""
 
 from collections.abc import Callable
 
@@ -11,10 +11,10 @@ from jaxbiped.sim.servo import Reference
 
 
 class Physics(eqx.Module):
-    """What the physics carries from tick to tick."""
+    """State of the physics that is carried from tick to tick."""
 
     tick: Int[Array, "*n"]
-    """Physics ticks done."""
+    """Number of physics ticks done."""
     qpos: Float[Array, "*n nq"]
     """MuJoCo's coordinates."""
     qvel: Float[Array, "*n nv"]
@@ -22,8 +22,8 @@ class Physics(eqx.Module):
     integral: Float[Array, "*n 2 6"]
     """Integral of the servos' position errors [rad s]."""
     pressed: Float[Array, "*n 2 4"]
-    """Normal force at every sole corner in the last tick, which the compliant ground's friction goes by [N]."""
+    """Normal force at every sole corner in the last tick, on which the compliant ground's friction depends [N]."""
 
 
 Advance = Callable[[Plant, float, Reference, Physics], tuple[Physics, Seen]]
-"""A physics tick of so long [s] under a reference of the servos: the physics after it, and what it saw at its start."""
+"""Physics tick: (plant, duration [s], servo reference, physics) -> (physics after it, `Seen` at its start)."""

@@ -5,7 +5,6 @@ are MJX's; masses are those of the compliant ground. It is slower by an order of
 """
 
 import dataclasses
-from typing import Any
 
 import jax.numpy as jnp
 import mujoco
@@ -31,7 +30,7 @@ ITERATIONS = 6
 MOST_CONTACTS = 16
 """Contacts that are kept at a time, the deepest: every corner may touch a box and the floor."""
 DEPTH = 0.5
-"""How far boxes reach down from their tops [m]."""
+"""Depth of the boxes below their tops [m]."""
 _BOX_0 = 1
 """Number of the first box among the geoms, after the floor."""
 _CORNER = 2
@@ -40,7 +39,7 @@ _AWAY = -100.0
 """Height at which unused boxes are parked [m]."""
 
 
-def base_model(robot: RobotParams, rectangles: int, timestep: float) -> Any:
+def base_model(robot: RobotParams, rectangles: int, timestep: float) -> mjx_adapter.Model:
     """MJX model of the nominal robot with room for `rectangles` boxes; timestep [s]."""
     spec = build_spec(robot, timestep)
     for i in range(rectangles):
@@ -57,7 +56,7 @@ def base_model(robot: RobotParams, rectangles: int, timestep: float) -> Any:
 
 
 def check_terrain(terrain: Terrain) -> None:
-    """Refuse what boxes on a plane cannot show, where the numbers are known.
+    """Refuse terrain that boxes on a plane cannot represent, where the numbers are known.
 
     Raises:
         ValueError: if there is a hole, or raised rectangles overlap, which here do not add up.
@@ -114,7 +113,7 @@ def _push(world: Plant, time: Float[Array, ""], dt: float) -> Float[Array, "3"]:
     return jnp.clip(overlap / dt, 0.0, 1.0) * push.force
 
 
-def _model_now(world: Plant, time: Float[Array, ""], dt: float) -> Any:
+def _model_now(world: Plant, time: Float[Array, ""], dt: float) -> mjx_adapter.Model:
     """The model with this tick's masses, and the scenario's gains, friction, stiffness and boxes."""
     masses = plant.masses(world, world.scenario.payload.share(time, dt))
     model = mjx_adapter.with_masses(world.model, *masses)
