@@ -17,7 +17,7 @@ from jaxbiped.sim.physics.contract import Physics
 from jaxbiped.sim.record import Record
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.seen import Seen
-from jaxbiped.sim.segments import Told
+from jaxbiped.sim.segments import Told, ticks_of_segment
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, observed
 
 
@@ -63,9 +63,10 @@ def run(
         if every and (tick + 1) % every == 0:
             rows.append(jax.tree.map(np.asarray, sample))
         walking = ~np.asarray(stopped)
-        if told is not None:
-            told((tick + 1) / ticks)
-        if not walking.any() and not every:
+        over = not walking.any() and not every
+        if told is not None and (over or (tick + 1) % ticks_of_segment(simulation) == 0):
+            told(1.0 if over else (tick + 1) / ticks)
+        if over:
             break
     trace = jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *rows) if rows else None
     return Walk(states.record.statistics, trace, states.controller)

@@ -48,7 +48,7 @@ def _at_once(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: 
     stopped = ticks <= 0
     while not stopped:
         states, stops = _segment(simulation, states)
-        walked += _ticks(simulation)
+        walked += ticks_of_segment(simulation)
         stopped = bool(np.all(stops))
         told(1.0 if stopped else walked / ticks)
     return _walk(states)
@@ -95,7 +95,7 @@ def _walk(states: State, trace: Sample | None = None) -> Walk:
     return Walk(states.record.statistics, trace, states.controller)
 
 
-def _ticks(simulation: PureSimulation) -> int:
+def ticks_of_segment(simulation: PureSimulation) -> int:
     """Control ticks of a segment."""
     return max(1, round(SEGMENT / simulation.options.control_dt))
 
@@ -118,7 +118,7 @@ def _segment(simulation: PureSimulation, states: State) -> tuple[State, Bool[Arr
     """Return the states a segment later, and which walks have stopped."""
 
     def further(state: State) -> tuple[State, Bool[Array, ""]]:
-        state = jax.lax.fori_loop(0, _ticks(simulation), lambda _, s: simulation.tick(s)[0], state)
+        state = jax.lax.fori_loop(0, ticks_of_segment(simulation), lambda _, s: simulation.tick(s)[0], state)
         return state, state.stopped
 
     return jax.vmap(further)(states)
