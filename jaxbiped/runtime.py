@@ -60,7 +60,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def jit_arrays(function: Callable[P, R], **more: str | int) -> Callable[P, R]:
+def jit_arrays(function: Callable[..., R], **more: str | int) -> Callable[..., R]:
     """Compile a function of arrays alone with `OPTIONS` and `more`: what `jit` asks at every call is not asked."""
     made: Any = jax.jit(function, compiler_options={**options(), **more})
     return made
