@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbiped.sim.compile.arrays import Values, each, filled, objects
+from jaxbiped.sim.compile.arrays import Values, each
 from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
 
 SAME = (
@@ -18,6 +18,12 @@ SAME = (
 @rule(*SAME, "add_any")
 def _same(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     return [each(of.graph, eqn.primitive.name.removesuffix("_any"), out_type(eqn), *ins)]
+
+
+@rule("lt_to", "le_to")
+def _in_total_order(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+    """As the usual order: the other one differs for NaN and for zeros with a sign only."""
+    return [each(of.graph, eqn.primitive.name[:2], out_type(eqn), *ins)]
 
 
 @rule("convert_element_type")
@@ -83,21 +89,3 @@ def _select(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 @rule("nextafter", "erf_inv", "random_bits", "random_wrap", "random_unwrap", "threefry2x32")
 def _never(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     raise UnknownPrimitiveError(f"no rule for the primitive {eqn.primitive.name!r}")
-
-
-@rule("sort")
-def _sort(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
-    """Of one operand, by exchanging neighbors that are in the wrong order; for a few elements."""
-    if len(ins) != 1:
-        raise UnknownPrimitiveError("'sort' of several operands")
-    dtype, axis = out_type(eqn), eqn.params["dimension"]
-    rows = np.moveaxis(objects(ins[0]), axis, -1)
-    shape, n = rows.shape, rows.shape[-1]
-    rows = [list(row) for row in rows.reshape(-1, n)]
-    for row in rows:
-        for last in range(n - 1, 0, -1):
-            for i in range(last):
-                a, b = row[i], row[i + 1]
-                row[i], row[i + 1] = of.graph.op("min", dtype, a, b), of.graph.op("max", dtype, a, b)
-    sorted_rows = filled((element for row in rows for element in row), shape, dtype)
-    return [np.moveaxis(sorted_rows, -1, axis)]

@@ -1,5 +1,8 @@
 """Primitives that only move elements about, to places that are known: run by JAX itself on numbers of positions."""
 
+import itertools
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -7,8 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxbiped.sim.compile.arrays import Values, each, is_known, joined, objects, picked, tidy
+from jaxbiped.sim.compile.arrays import Values, each, fold_pairs, is_known, joined, objects, picked, tidy
+from jaxbiped.sim.compile.graph import Node, Scalar
 from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
+
+MOST = 64
+"""Places among which a scatter may choose."""
 
 
 def bind(eqn: Any, arrays: list[np.ndarray], **params: Any) -> list[np.ndarray]:
@@ -68,17 +75,35 @@ def moved(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 @rule("scatter", "scatter-add", "scatter_add", "scatter-mul", "scatter_mul")
 def _scatter(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
-    """Updates put at, added to or multiplied with elements at known places."""
+    """Updates put at, added to or multiplied with elements; at known places, or at one of a few."""
     x, indices, updates = ins
-    if not is_known(indices):
-        raise UnknownPrimitiveError(f"{eqn.primitive.name!r} at places that are not known")
+    dtype, flat = out_type(eqn), objects(updates).reshape(-1)
     name = {"scatter": ""}.get(eqn.primitive.name, eqn.primitive.name[-3:])
-    out, flat = objects(x).copy(), objects(updates).reshape(-1)
+    out = objects(x).copy()
     at = out.reshape(-1)
-    for update, place in _places(eqn, x.shape, indices, updates.shape):
-        new = flat[update]
-        at[place] = of.graph.op(name, out_type(eqn), at[place], new) if name else new
-    return [tidy(out, out_type(eqn))]
+    for known, here in _candidates(of, eqn, x.shape, indices):
+        for update, place in _places(eqn, x.shape, known, updates.shape):
+            new = of.graph.op(name, dtype, at[place], flat[update]) if name else flat[update]
+            at[place] = of.graph.op("select", dtype, here, at[place], new)
+    return [tidy(out, dtype)]
+
+
+def _candidates(
+    of: Interpreter, eqn: Any, shape: tuple[int, ...], indices: Values
+) -> Iterator[tuple[Values, Scalar]]:
+    """The indices that there may be, and whether it is these; an index outside of the operand is none of them."""
+    if is_known(indices):
+        yield indices, np.True_
+        return
+    p, kind = eqn.params, eqn.invars[1].aval.dtype
+    axes = p["dimension_numbers"].scatter_dims_to_operand_dims
+    ranges = [range(shape[axis]) if isinstance(i, Node) else [i] for axis, i in zip(axes, indices.flat, strict=False)]
+    if indices.size > len(axes) or p["mode"] == lax.GatherScatterMode.CLIP or math.prod(map(len, ranges)) > MOST:
+        raise UnknownPrimitiveError(f"{eqn.primitive.name!r} at places that are not known")
+    for values in itertools.product(*ranges):
+        pairs = [(i, v) for i, v in zip(indices.flat, values, strict=True) if isinstance(i, Node)]
+        tests = [of.graph.op("eq", bool, i, kind.type(v)) for i, v in pairs]
+        yield np.array(values, kind).reshape(indices.shape), fold_pairs(of.graph, "and", np.dtype(bool), tests)
 
 
 def _places(eqn: Any, shape: tuple[int, ...], indices: Values, updates: tuple[int, ...]) -> list[tuple[int, int]]:

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxbiped.sim.compile.arrays import Values, each, filled, fold_pairs, objects, tidy
+from jaxbiped.sim.compile.arrays import Values, each, filled, fold_pairs, is_known, objects, tidy
 from jaxbiped.sim.compile.graph import Node, Scalar
 from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
+from jaxbiped.sim.compile.moves import bind
 
 REDUCED = {
     "reduce_sum": "add",
@@ -80,3 +81,23 @@ def _product(of: Interpreter, dtype: np.dtype, x: Values, y: Values) -> Scalar:
     terms = [of.graph.op("mul", dtype, a, b) for a, b in zip(x, y, strict=True)]
     terms = [term for term in terms if isinstance(term, Node) or term != 0]
     return fold_pairs(of.graph, "add", dtype, terms or [dtype.type(0)])
+
+
+@rule("sort")
+def _sort(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+    """Of one operand, by exchanging neighbors that are in the wrong order; for a few elements."""
+    if all(map(is_known, ins)):
+        return bind(eqn, ins)
+    if len(ins) != 1:
+        raise UnknownPrimitiveError("'sort' of several operands")
+    dtype, axis = out_type(eqn), eqn.params["dimension"]
+    rows = np.moveaxis(objects(ins[0]), axis, -1)
+    shape, n = rows.shape, rows.shape[-1]
+    rows = [list(row) for row in rows.reshape(-1, n)]
+    for row in rows:
+        for last in range(n - 1, 0, -1):
+            for i in range(last):
+                a, b = row[i], row[i + 1]
+                row[i], row[i + 1] = of.graph.op("min", dtype, a, b), of.graph.op("max", dtype, a, b)
+    sorted_rows = filled((element for row in rows for element in row), shape, dtype)
+    return [np.moveaxis(sorted_rows, -1, axis)]
