@@ -10,6 +10,7 @@ typedef REAL FU __attribute__((vector_size(W * sizeof(REAL)), aligned(sizeof(REA
 
 #define VF(x) ((F){0} + (REAL)(x))
 #define VM(x) ((M){0} + (WORD)(x))
+#define SIGN VM((WORD)1 << (8 * sizeof(WORD) - 1))
 #define TO_F(x) __builtin_convertvector(x, F)
 #if defined(__cplusplus)
 #define SELECT(p, no, yes) ((p) ? (yes) : (no))
@@ -21,7 +22,7 @@ static inline M select_m(M p, M no, M yes) { return (yes & p) | (no & ~p); }
 
 #define LANEWISE(name, function) static inline F name(F x) { F r; EACH r[i] = function(x[i]); return r; }
 #define LANEWISE2(name, function) static inline F name(F x, F y) { F r; EACH r[i] = function(x[i], y[i]); return r; }
-static inline F vabs(F x) { return (F)((M)x & ~(M)VF(-0.0)); }
+static inline F vabs(F x) { return (F)((M)x & ~SIGN); }
 static inline F vmax(F x, F y) { return SELECT((x > y) | (x != x), y, x); }
 static inline F vmin(F x, F y) { return SELECT((x < y) | (x != x), y, x); }
 static inline M imax(M x, M y) { return SELECT(x > y, y, x); }
@@ -72,7 +73,7 @@ static inline F vatan2(F y, F x) {
   r = r + SELECT(far, VF(0), VF(0.785398163397448309616));
   r = SELECT(steep, r, (REAL)1.57079632679489661923 - r);
   r = SELECT((M)x < 0, r, (REAL)3.14159265358979323846 - r);
-  r = (F)((M)r | ((M)y & (M)VF(-0.0)));
+  r = (F)((M)r | ((M)y & SIGN));
   return SELECT((x != x) | (y != y), r, x + y);
 }
 static inline F vatan(F x) { return vatan2(x, VF(1)); }
@@ -87,7 +88,7 @@ static inline F vasin(F x) {
   F z = SELECT(big, a * a, (REAL)0.5 * (1 - a));
   F p = arc(SELECT(big, a, vsqrt(z)), z);
   p = SELECT(big, p, (REAL)1.57079632679489661923 - 2 * p);
-  return (F)((M)p | ((M)x & (M)VF(-0.0)));
+  return (F)((M)p | ((M)x & SIGN));
 }
 static inline F vacos(F x) {
   F a = vabs(x);
