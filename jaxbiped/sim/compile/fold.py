@@ -17,7 +17,7 @@ def _of(*names: str) -> Callable[[Fold], Fold]:
     return register
 
 
-def _is(x: Scalar, value: float) -> bool:
+def _is(x: Scalar, value: int) -> bool:
     """Whether a scalar is known to be so much."""
     return not isinstance(x, Node) and bool(x == value)
 

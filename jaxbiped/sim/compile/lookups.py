@@ -115,7 +115,7 @@ def _looked_up(
         row = rows[element]
         free = [axis for axis, index in enumerate(row) if isinstance(index, Node) and tops[axis] > 0]
         fixed = [0 if isinstance(i, Node) else int(np.clip(i, 0, t)) for i, t in zip(row, tops, strict=True)]
-        base = origin[element] + sum(int(v * s[element]) for v, s in zip(fixed, steps, strict=True))
+        base = int(origin[element]) + sum(int(v * s[element]) for v, s in zip(fixed, steps, strict=True))
         return _among(of.graph, dtype, flat, base, [(row[a], tops[a], int(steps[a][element])) for a in free])
 
     shape = eqn.outvars[0].aval.shape
