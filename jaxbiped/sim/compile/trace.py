@@ -57,7 +57,7 @@ def is_part(values: np.ndarray) -> np.ndarray:
     """Which numbers of a shared array are part of the program."""
     if values.dtype.kind != "f":
         return np.ones(values.shape, bool)
-    return np.isin(values, (0.0, 1.0, -1.0)) & (values.size < TABLE)
+    return np.asarray(np.isin(values, (0.0, 1.0, -1.0)) & (values.size < TABLE))
 
 
 def _given(graph: Graph, leaf: int, values: np.ndarray) -> Values:
