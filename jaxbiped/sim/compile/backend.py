@@ -87,7 +87,10 @@ def compare(machine: Machine, closed: Any, simulation: PureSimulation, states: S
 def worst(ours: State, theirs: State) -> tuple[str, float]:
     """The variable in which most lanes differ by more than rounding, and their share."""
     pairs = zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True)
-    shares = [(float(np.mean(_odd(np.asarray(a), np.asarray(b)))), jax.tree_util.keystr(p)[1:]) for (p, a), b in pairs]
+    shares = [
+        (float(np.mean(_odd(np.asarray(a), np.asarray(b)))), jax.tree_util.keystr(p)[1:])
+        for (p, a), b in pairs
+    ]
     share, name = max(shares)
     return name, share
 
@@ -96,11 +99,11 @@ def _odd(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Which lanes differ."""
     a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
     if a.dtype.kind != "f":
-        return (a != b).any(axis=1)
+        return np.asarray((a != b).any(axis=1))
     finite = np.isfinite(b)
     size = max(1.0, np.abs(b[finite]).max(initial=0.0))
     close = np.isclose(a, b, rtol=0.0, atol=ROUNDING[a.dtype.itemsize] * size, equal_nan=True)
-    return ~close.all(axis=1)
+    return np.logical_not(np.all(close, axis=1))
 
 
 def _by_xla(closed: Any, leaves: list[np.ndarray]) -> Any:

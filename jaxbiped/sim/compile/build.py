@@ -68,7 +68,18 @@ def _compile(text: str, file: Path) -> None:
         source, made = Path(scratch) / "walk.c", Path(scratch) / "walk.so"
         source.write_text(text, encoding="utf-8")
         for language in LANGUAGES:
-            command = [_compiler(), "-x", language, *FLAGS, "-shared", "-fPIC", "-o", str(made), str(source), "-lm"]
+            command = [
+                _compiler(),
+                "-x",
+                language,
+                *FLAGS,
+                "-shared",
+                "-fPIC",
+                "-o",
+                str(made),
+                str(source),
+                "-lm",
+            ]
             done = subprocess.run(command, capture_output=True, text=True)
             if done.returncode == 0:
                 os.replace(made, file)

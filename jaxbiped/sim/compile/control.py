@@ -47,10 +47,15 @@ def _scan(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     left: dict[int, list[Values]] = {}
     order = range(p["length"])
     for k in reversed(order) if p["reverse"] else order:
-        row = [tidy(x[k : k + 1].reshape(x.shape[1:]), var.aval.dtype) for x, var in zip(rows, eqn.invars[first:], strict=True)]
+        row = [
+            tidy(x[k : k + 1].reshape(x.shape[1:]), var.aval.dtype)
+            for x, var in zip(rows, eqn.invars[first:], strict=True)
+        ]
         outs = of.closed(p["jaxpr"], [*consts, *carry, *row])
         carry, left[k] = outs[: len(carry)], outs[len(carry) :]
-    stacks = [_stack(eqn, len(carry) + i, [left[k][i] for k in order]) for i in range(len(eqn.outvars) - len(carry))]
+    stacks = [
+        _stack(eqn, len(carry) + i, [left[k][i] for k in order]) for i in range(len(eqn.outvars) - len(carry))
+    ]
     return [*carry, *stacks]
 
 
@@ -75,13 +80,19 @@ def _rolled(of: Interpreter, eqn: Any, consts: list[Values], carry: list[Values]
     loop = Loop(len(graph.loops), length, start, dtypes)
     graph.loops.append(loop)
     nodes = iter([graph.make(CARRY, (), dtype, (loop.number, i)) for i, dtype in enumerate(dtypes)])
-    inside = [filled((next(nodes) for _ in range(v.aval.size)), v.aval.shape, v.aval.dtype) for v in variables]
+    inside = [
+        filled((next(nodes) for _ in range(v.aval.size)), v.aval.shape, v.aval.dtype) for v in variables
+    ]
     of.inside = True
     outs = of.closed(eqn.params["jaxpr"], [*consts, *inside])
     of.inside = False
     flat = [scalar for x in outs for scalar in objects(x).reshape(-1)]
     loop.next, loop.rows = flat[: len(start)], flat[len(start) :]
-    kinds = [v.aval.dtype for v, x in zip(eqn.params["jaxpr"].jaxpr.outvars, outs, strict=True) for _ in range(x.size)]
+    kinds = [
+        v.aval.dtype
+        for v, x in zip(eqn.params["jaxpr"].jaxpr.outvars, outs, strict=True)
+        for _ in range(x.size)
+    ]
     after = iter([graph.make(AFTER, (), dtype, (loop.number, i)) for i, dtype in enumerate(kinds)])
     return [_left(of, eqn, i, after, len(carry)) for i in range(len(eqn.outvars))]
 

@@ -28,7 +28,7 @@ def _in_total_order(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values
 
 @rule("convert_element_type")
 def _convert(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
-    if eqn.invars[0].aval.dtype.kind == "f" and out_type(eqn) == bool:
+    if eqn.invars[0].aval.dtype.kind == "f" and out_type(eqn).kind == "b":
         return [each(of.graph, "ne", np.dtype(bool), ins[0], np.zeros((), eqn.invars[0].aval.dtype))]
     return [each(of.graph, "convert", out_type(eqn), *ins)]
 
@@ -77,7 +77,7 @@ def _clamp(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 def _select(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     which, *cases = ins
     dtype, kind = out_type(eqn), eqn.invars[0].aval.dtype
-    if kind == bool:
+    if kind.kind == "b":
         return [each(of.graph, "select", dtype, which, *cases)]
     out = cases[-1]
     for k in reversed(range(len(cases) - 1)):

@@ -19,10 +19,10 @@ def evaluate(nodes: list[Node], values: Values, given: Given) -> None:
         if node.number in values or node.op in (CARRY, AFTER):
             continue
         if node.op == INPUT:
-            leaf, element = node.param  # pyright: ignore[reportGeneralTypeIssues]
+            leaf, element = node.param
             values[node.number] = given(leaf)[element]
         elif node.op == TAKE:
-            leaf, first, step, _ = node.param  # pyright: ignore[reportGeneralTypeIssues]
+            leaf, first, step, _ = node.param
             values[node.number] = given(leaf)[first + step * value_of(node.args[0], values)]
         else:
             values[node.number] = compute(node.op, node.dtype, (value_of(arg, values) for arg in node.args))
@@ -37,7 +37,7 @@ def one_tick(program: Program, words: list[np.ndarray], given: Given) -> list[np
     """The words of all lanes after a tick, from the words before it and what is shared."""
     graph, lanes = program.graph, words[0].shape
     place = {word.place: value for word, value in zip(program.words, words, strict=True)}
-    values = {n.number: place[n.param] for n in program.order if n.op == INPUT and n.param in place}  # pyright: ignore
+    values = {n.number: place[n.param] for n in program.order if n.op == INPUT and n.param in place}
     evaluate(_of_phase(program, 0), values, given)
     for loop in graph.loops:
         carried = [value_of(scalar, values) for scalar in loop.start]
@@ -50,10 +50,13 @@ def one_tick(program: Program, words: list[np.ndarray], given: Given) -> list[np
             carried = [_if_there(scalar, inside) for scalar in loop.next]
         left = [*carried, *(_if_there(scalar, inside) for scalar in loop.rows)]
         for node in program.order:
-            if node.op == AFTER and node.param[0] == loop.number:  # pyright: ignore
-                values[node.number] = left[node.param[1]]  # pyright: ignore
+            if node.op == AFTER and node.param[0] == loop.number:
+                values[node.number] = left[node.param[1]]
         evaluate(_of_phase(program, 2 * loop.number + 2), values, given)
-    return [np.broadcast_to(value_of(s, values), lanes).astype(w.dtype) for s, w in zip(program.after, program.words, strict=True)]
+    return [
+        np.broadcast_to(value_of(s, values), lanes).astype(w.dtype)
+        for s, w in zip(program.after, program.words, strict=True)
+    ]
 
 
 def _if_there(scalar: Scalar, values: Values) -> Any:

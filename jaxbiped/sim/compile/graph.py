@@ -23,7 +23,7 @@ class Node:
 
     __slots__ = ("args", "dtype", "number", "op", "param")
 
-    def __init__(self, op: str, args: tuple[Scalar, ...], dtype: np.dtype, param: Hashable, number: int):
+    def __init__(self, op: str, args: tuple[Scalar, ...], dtype: np.dtype, param: Any, number: int):
         self.op, self.args, self.dtype, self.param, self.number = op, args, dtype, param, number
 
     def __repr__(self) -> str:
@@ -60,7 +60,7 @@ class Graph:
         self.loops: list[Loop] = []
         self._made: dict[Hashable, Node] = {}
 
-    def make(self, op: str, args: Iterable[Scalar], dtype: Any, param: Hashable = None) -> Node:
+    def make(self, op: str, args: Iterable[Scalar], dtype: Any, param: Any = None) -> Node:
         """The node of an operation as it is, not simplified."""
         dtype, args = np.dtype(dtype), tuple(args)
         if op in COMMUTING:

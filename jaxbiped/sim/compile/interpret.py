@@ -51,7 +51,8 @@ class Interpreter:
         values: dict[Any, Values] = {}
 
         def read(var: Any) -> Values:
-            return np.asarray(var.val, var.aval.dtype) if isinstance(var, core.Literal) else values[var]
+            aval: Any = var.aval
+            return np.asarray(var.val, aval.dtype) if isinstance(var, core.Literal) else values[var]
 
         values.update(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
         values.update(zip(jaxpr.invars, args, strict=True))

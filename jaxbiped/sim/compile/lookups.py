@@ -70,10 +70,10 @@ def _gather(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     dropped = eqn.params["mode"] == lax.GatherScatterMode.FILL_OR_DROP
     if is_known(indices):
         fill = {"fill_value": -1} if dropped else {}
-        (positions,) = bind(eqn, [*numbered([x]), indices], **fill)
-        if positions.min(initial=0) < 0:
+        (known,) = bind(eqn, [*numbered([x]), indices], **fill)
+        if known.min(initial=0) < 0:
             raise UnknownPrimitiveError("'gather' outside of its operand")
-        return [picked(joined([x]), positions, out_type(eqn))]
+        return [picked(joined([x]), known, out_type(eqn))]
     if dropped:
         raise UnknownPrimitiveError("'gather' that fills up, at places that are not known")
     numbers, sizes = eqn.params["dimension_numbers"], eqn.params["slice_sizes"]
@@ -122,7 +122,9 @@ def _looked_up(
     return filled(map(one, range(origin.size)), shape, dtype)
 
 
-def _among(graph: Graph, dtype: np.dtype, flat: Values, base: int, free: list[tuple[Node, int, int]]) -> Scalar:
+def _among(
+    graph: Graph, dtype: np.dtype, flat: Values, base: int, free: list[tuple[Node, int, int]]
+) -> Scalar:
     """The element at a position that grows with some indices."""
     if not free:
         return flat[base]
@@ -131,5 +133,3 @@ def _among(graph: Graph, dtype: np.dtype, flat: Values, base: int, free: list[tu
         raise UnknownPrimitiveError("look-up in a table by several indices")
     choices = [_among(graph, dtype, flat, base + k * step, others) for k in range(top + 1)]
     return choose(graph, dtype, index, choices)
-
-

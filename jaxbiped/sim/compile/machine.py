@@ -54,7 +54,9 @@ class Machine:
         rows = []
         for leaf in each:
             flat = leaf.reshape(len(leaf), -1).T
-            flat = flat.astype(self.real).view(self.word) if leaf.dtype.kind == "f" else flat.astype(self.word)
+            flat = (
+                flat.astype(self.real).view(self.word) if leaf.dtype.kind == "f" else flat.astype(self.word)
+            )
             rows.append(np.pad(flat, ((0, 0), (0, room - len(leaf))), mode="edge"))
         return np.ascontiguousarray(np.concatenate(rows))
 
@@ -77,7 +79,13 @@ class Machine:
         for i, node in enumerate(self.shared):
             value = values[node.number]
             real = node.dtype.kind == "f"
-            out[i] = np.asarray(value, self.real).view(self.word) if real else -int(value) if node.dtype == bool else value
+            out[i] = (
+                np.asarray(value, self.real).view(self.word)
+                if real
+                else -int(value)
+                if node.dtype == bool
+                else value
+            )
         return out
 
 

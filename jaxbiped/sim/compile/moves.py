@@ -28,7 +28,9 @@ def bind(eqn: Any, arrays: list[np.ndarray], **params: Any) -> list[np.ndarray]:
 def numbered(arrays: list[Values]) -> list[np.ndarray]:
     """Positions of all elements of arrays, one array after the other."""
     ends = np.cumsum([0, *(x.size for x in arrays)])
-    return [np.arange(a, a + x.size, dtype=np.int32).reshape(x.shape) for a, x in zip(ends, arrays, strict=False)]
+    return [
+        np.arange(a, a + x.size, dtype=np.int32).reshape(x.shape) for a, x in zip(ends, arrays, strict=False)
+    ]
 
 
 @rule("iota", "rng_uniform")
@@ -97,16 +99,28 @@ def _candidates(
         return
     p, kind = eqn.params, eqn.invars[1].aval.dtype
     axes = p["dimension_numbers"].scatter_dims_to_operand_dims
-    ranges = [range(shape[axis]) if isinstance(i, Node) else [i] for axis, i in zip(axes, indices.flat, strict=False)]
-    if indices.size > len(axes) or p["mode"] == lax.GatherScatterMode.CLIP or math.prod(map(len, ranges)) > MOST:
+    ranges = [
+        range(shape[axis]) if isinstance(i, Node) else [i]
+        for axis, i in zip(axes, indices.flat, strict=False)
+    ]
+    if (
+        indices.size > len(axes)
+        or p["mode"] == lax.GatherScatterMode.CLIP
+        or math.prod(map(len, ranges)) > MOST
+    ):
         raise UnknownPrimitiveError(f"{eqn.primitive.name!r} at places that are not known")
     for values in itertools.product(*ranges):
         pairs = [(i, v) for i, v in zip(indices.flat, values, strict=True) if isinstance(i, Node)]
         tests = [of.graph.op("eq", bool, i, kind.type(v)) for i, v in pairs]
-        yield np.array(values, kind).reshape(indices.shape), fold_pairs(of.graph, "and", np.dtype(bool), tests)
+        yield (
+            np.array(values, kind).reshape(indices.shape),
+            fold_pairs(of.graph, "and", np.dtype(bool), tests),
+        )
 
 
-def _places(eqn: Any, shape: tuple[int, ...], indices: Values, updates: tuple[int, ...]) -> list[tuple[int, int]]:
+def _places(
+    eqn: Any, shape: tuple[int, ...], indices: Values, updates: tuple[int, ...]
+) -> list[tuple[int, int]]:
     """Where every update goes, as (update, place), by scattering numbers of updates; bit by bit where they meet."""
     size = int(np.prod(updates, dtype=int))
     if size == 0:

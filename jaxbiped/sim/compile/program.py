@@ -94,7 +94,7 @@ def needs(graph: Graph, node: Node) -> list[Node]:
     """What a node needs, loops included."""
     found: list[Scalar] = list(node.args)
     if node.op in (CARRY, AFTER):
-        number, i = node.param  # pyright: ignore[reportGeneralTypeIssues]
+        number, i = node.param
         loop = graph.loops[number]
         carried = i < len(loop.start)
         found += [loop.start[i], loop.next[i]] if carried else [loop.rows[i - len(loop.start)]]
@@ -135,9 +135,7 @@ def _level(node: Node, level: dict[int, Level], carried: set, fixed: set) -> Lev
 
 def _phase(node: Node, phase: dict[int, int]) -> int:
     if node.op == CARRY:
-        return 2 * node.param[0] + 1  # pyright: ignore[reportIndexIssue,reportOptionalSubscript]
+        return 2 * node.param[0] + 1
     if node.op == AFTER:
-        return 2 * node.param[0] + 2  # pyright: ignore[reportIndexIssue,reportOptionalSubscript]
+        return 2 * node.param[0] + 2
     return max((phase[arg.number] for arg in node.needs), default=0)
-
-

@@ -3,12 +3,14 @@
     void walk(long lanes, long first, long last, long ticks, WORD *state, const WORD *shared, const REAL *const *tables)
 
 advances the lanes from `first` to `last`, block by block, by so many ticks or until no lane of the block changes any
-more. Words without a sign count as words with one, since they are places in arrays. `state` holds a row of `lanes` for every word, `shared` what is the same for all of them.
+more. `state` holds a row of `lanes` for every word, `shared` what is the same for all of them. Words without a sign
+count as words with one, since they are places in arrays.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +79,7 @@ class _Printer:
 
     def _row(self, node: Node) -> str:
         """A word of the state, of the lanes of a block."""
-        return _loaded(node, f"(F)*(const FU *)(state + {self.row[node.param]} * lanes)")  # pyright: ignore
+        return _loaded(node, f"(F)*(const FU *)(state + {self.row[node.param]} * lanes)")
 
     def _tick(self) -> Iterator[str]:
         """The function of a tick of one block, which says whether all its lanes have stopped."""
@@ -95,20 +97,22 @@ class _Printer:
         """Everything between two loops."""
         for node in self.program.at(Level.TICK, phase):
             if node.op not in (CARRY, AFTER):
-                value = _loaded(node, f"X[{self.inside[node.param]}]") if node.op == INPUT else self._value(node)  # pyright: ignore
+                value = (
+                    _loaded(node, f"X[{self.inside[node.param]}]") if node.op == INPUT else self._value(node)
+                )
                 yield f"  const {_type(node)} {self.name[node.number]} = {value};"
 
     def _loop(self, number: int) -> Iterator[str]:
         """A loop, its body in braces."""
         loop, program = self.program.graph.loops[number], self.program
-        carried = {n.param[1]: n for n in program.order if n.op == CARRY and n.param[0] == number}  # pyright: ignore
-        left = {n.param[1]: n for n in program.order if n.op == AFTER and n.param[0] == number}  # pyright: ignore
+        carried = {n.param[1]: n for n in program.order if n.op == CARRY and n.param[0] == number}
+        left = {n.param[1]: n for n in program.order if n.op == AFTER and n.param[0] == number}
         for i, node in carried.items():
             yield f"  {_type(node)} {self.name[node.number]} = {self._operand(loop.start[i])};"
         rows = {i: node for i, node in left.items() if i >= len(loop.start)}
         for node in rows.values():
             yield f"  {_type(node)} {self.name[node.number]} = {{0}};"
-        yield f"  for (int k = 0; k < {loop.length}; k++) {{\n  __asm__ volatile(\"\" ::: \"memory\");"
+        yield f'  for (int k = 0; k < {loop.length}; k++) {{\n  __asm__ volatile("" ::: "memory");'
         yield from self._phase(2 * number + 1)
         for i, node in rows.items():
             yield f"  {self.name[node.number]} = {self._operand(loop.rows[i - len(loop.start)])};"
@@ -171,7 +175,7 @@ void walk(long lanes, long first, long last, long ticks, WORD *state, const WORD
 
     def _take(self, node: Node) -> str:
         """A look-up."""
-        leaf, first, step, _ = node.param  # pyright: ignore[reportGeneralTypeIssues]
+        leaf, first, step, _ = node.param
         if any(leaf == word.leaf for word in self.program.words) or node.dtype.kind != "f":
             raise UnknownPrimitiveError("look-up in a long table that every lane has for itself")
         if leaf not in self.tables:
@@ -190,14 +194,20 @@ def _cast(node: Node, word: str) -> str:
 
 def _loaded(node: Node, vector: str) -> str:
     """A word of the state, in which a truth is a one."""
-    return vector if node.dtype.kind == "f" else f"-(M)({vector})" if node.dtype.kind == "b" else f"(M)({vector})"
+    return (
+        vector
+        if node.dtype.kind == "f"
+        else f"-(M)({vector})"
+        if node.dtype.kind == "b"
+        else f"(M)({vector})"
+    )
 
 
 def _stored(scalar: Scalar, text: str) -> str:
     return f"(F)(-({text}))" if scalar.dtype.kind == "b" else f"(F)({text})"
 
 
-def _number(value: np.generic) -> str:
+def _number(value: Any) -> str:
     if value.dtype.kind == "b":
         return f"VM({-int(value)})"
     if value.dtype.kind in "iu":
@@ -207,7 +217,7 @@ def _number(value: np.generic) -> str:
     if np.isnan(value):
         return "VF(NAN)"
     if np.isinf(value):
-        return f"VF({'-' if value < 0 else ''}INFINITY)"
+        return f"VF({'-' if np.signbit(value) else ''}INFINITY)"
     return f"VF({float(value)!r})"
 
 

@@ -16,14 +16,17 @@ from jaxbiped.sim.compile.program import Program, Word
 
 def program_of(function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED) -> Program:
     """The program whose words are the elements of the arguments, then those of what comes of them."""
-    graph, words, inputs = Graph(), [], []
+    graph, inputs = Graph(), []
+    words: list[Word] = []
     for leaf, arg in enumerate(args):
         mine = [Word(leaf, i, arg.dtype) for i in range(arg[0].size)]
         words += mine
-        inputs.append(filled((graph.input(*w.place, w.dtype) for w in mine), arg.shape[1:], arg.dtype))
+        inputs.append(
+            filled((graph.input(w.leaf, w.element, w.dtype) for w in mine), arg.shape[1:], arg.dtype)
+        )
     closed = jax.make_jaxpr(function)(*(arg[0] for arg in args))
     outs = scalarise(closed, inputs, graph, rolled)
-    after = [graph.input(*word.place, word.dtype) for word in words]
+    after = [graph.input(word.leaf, word.element, word.dtype) for word in words]
     for leaf, out in enumerate(outs, len(args)):
         dtype = closed.out_avals[leaf - len(args)].dtype
         words += [Word(leaf, i, dtype) for i in range(out.size)]
@@ -31,7 +34,9 @@ def program_of(function: Callable[..., Any], args: tuple[np.ndarray, ...], rolle
     return Program(graph, words, after, np.False_)
 
 
-def run_graph(function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED) -> list[np.ndarray]:
+def run_graph(
+    function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED
+) -> list[np.ndarray]:
     """What comes of the arguments, by NumPy."""
     program, lanes = program_of(function, args, rolled), len(args[0])
     given = [row for arg in args for row in arg.reshape(lanes, -1).T]
@@ -56,6 +61,8 @@ def _shaped(function: Any, args: tuple[np.ndarray, ...], rows: list[np.ndarray])
     out, at = [], 0
     for shape in shapes:
         size = int(np.prod(shape.shape[1:], dtype=int))
-        out.append(np.stack(rows[at : at + size], axis=-1).reshape(shape.shape) if size else np.zeros(shape.shape))
+        out.append(
+            np.stack(rows[at : at + size], axis=-1).reshape(shape.shape) if size else np.zeros(shape.shape)
+        )
         at += size
     return out

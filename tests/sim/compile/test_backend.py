@@ -63,11 +63,17 @@ def moving(states: State, duration: float) -> State:
         return near + 0.05 * random.normal(size=leaf.shape) * (1.0 + 0.2 * np.abs(near))
 
     n, world = len(states.time), states.world
-    states = eqx.tree_at(lambda s: s.world, jax.tree.map(lambda leaf: shaken(np.asarray(leaf)), states), world)
+    states = eqx.tree_at(
+        lambda s: s.world, jax.tree.map(lambda leaf: shaken(np.asarray(leaf)), states), world
+    )
     qpos = states.physics.qpos
     qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
     tick = random.integers(0, int(duration / 5e-4), n).astype(np.int32)
-    new = (random.normal(0.0, 1.0, states.physics.qvel.shape), tick, (random.random(n) < 0.15).astype(np.int32))
+    new = (
+        random.normal(0.0, 1.0, states.physics.qvel.shape),
+        tick,
+        (random.random(n) < 0.15).astype(np.int32),
+    )
     return eqx.tree_at(lambda s: (s.physics.qvel, s.physics.tick, s.record.statistics.status), states, new)
 
 

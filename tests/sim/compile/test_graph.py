@@ -8,7 +8,7 @@ from jaxbiped.sim.compile.graph import Graph
 from jaxbiped.sim.compile.program import Level, Program, Word
 
 assert fold
-F, I, B = np.dtype(float), np.dtype(np.int32), np.dtype(bool)
+F, WHOLE, B = np.dtype(float), np.dtype(np.int32), np.dtype(bool)
 
 
 @pytest.fixture
@@ -24,9 +24,9 @@ def test_equal_operations_are_one_node(graph: Graph):
 
 def test_known_numbers_are_computed_at_once(graph: Graph):
     assert graph.op("mul", F, F.type(3), F.type(4)) == 12.0
-    assert graph.op("div", I, I.type(-7), I.type(2)) == -3
-    assert graph.op("rem", I, I.type(-7), I.type(2)) == -1
-    assert graph.op("convert", I, F.type(np.nan)) == 0
+    assert graph.op("div", WHOLE, WHOLE.type(-7), WHOLE.type(2)) == -3
+    assert graph.op("rem", WHOLE, WHOLE.type(-7), WHOLE.type(2)) == -1
+    assert graph.op("convert", WHOLE, F.type(np.nan)) == 0
     assert not graph.nodes
 
 

@@ -34,7 +34,8 @@ def test_all_rules_together_in_double(x64: None):
 RANGES = {
     "sin": (np.sin, -300.0, 300.0), "cos": (np.cos, -300.0, 300.0), "arcsin": (np.arcsin, -1.0, 1.0),
     "arccos": (np.arccos, -1.0, 1.0), "arctan": (np.arctan, -30.0, 30.0), "sqrt": (np.sqrt, 0.0, 9.0),
-    "exp": (np.exp, -20.0, 20.0), "log": (np.log, 1e-6, 9.0), "tanh": (np.tanh, -3.0, 3.0), "floor": (np.floor, -9.0, 9.0),
+    "exp": (np.exp, -20.0, 20.0), "log": (np.log, 1e-6, 9.0), "tanh": (np.tanh, -3.0, 3.0),
+    "floor": (np.floor, -9.0, 9.0),
 }  # fmt: skip
 
 
@@ -49,7 +50,9 @@ def test_functions_in_single_precision_are_as_good_as_libm():
     want = [np.arctan2(y.astype(float), x)]
     want += [f(c.astype(float)) for (f, _, _), c in zip(RANGES.values(), columns, strict=True)]
     for name, a, b in zip(["atan2", *RANGES], got, want, strict=True):
-        least = 1.0 if name in ("sin", "cos", "arcsin", "arccos") else 1e-30  # beside a zero, the argument's rounding
+        least = (
+            1.0 if name in ("sin", "cos", "arcsin", "arccos") else 1e-30
+        )  # beside a zero, the argument's rounding
         ulp = np.spacing(np.maximum(np.abs(b), least).astype(np.float32))
         assert np.max(np.abs(a - b) / ulp) < 3.0, name
 
@@ -59,7 +62,15 @@ def test_special_numbers():
     y = np.array([1.0, np.nan, 1.0, 0.0, -0.0, np.nan, 0.0, 0.0], np.float32)
 
     def function(x: Any, y: Any) -> list[Any]:
-        return [jnp.maximum(x, y), jnp.minimum(x, y), jnp.isfinite(x), jnp.abs(x), x.astype(int), x < y, x != y]
+        return [
+            jnp.maximum(x, y),
+            jnp.minimum(x, y),
+            jnp.isfinite(x),
+            jnp.abs(x),
+            x.astype(int),
+            x < y,
+            x != y,
+        ]
 
     for got, want in zip(run_c(function, (x, y), single=True), jax.vmap(function)(x, y), strict=True):
         if want.dtype != jnp.int32:
@@ -86,5 +97,7 @@ def test_loops_and_tables_in_single_precision():
 
 def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(ValueError, match="backend: 'c' needs a C compiler, and there is no 'no-such-compiler'"):
+    with pytest.raises(
+        ValueError, match="backend: 'c' needs a C compiler, and there is no 'no-such-compiler'"
+    ):
         build.load("int x;")
