@@ -39,7 +39,7 @@ def segment(simulation: PureSimulation, states: State, ticks: int) -> tuple[Stat
     """
     require_backend(simulation.options)
     states = machine_of(simulation, states).advance(shared_leaves(simulation), states, ticks)
-    return states, np.asarray(states.stopped)
+    return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
 
 
 def machine_of(simulation: PureSimulation, states: State) -> Machine:
