@@ -60,6 +60,11 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
+def jit_arrays(function: Callable[P, R], **more: str | int) -> Callable[P, R]:
+    """Compile a function of arrays alone with `OPTIONS` and `more`: what `jit` asks at every call is not asked."""
+    return jax.jit(function, compiler_options={**options(), **more})
+
+
 @functools.cache
 def options() -> dict[str, str]:
     """`OPTIONS`, or none where XLA refuses them."""

@@ -109,7 +109,7 @@ def _conclude(kind: Hashable) -> Concluded:
         moved, seen = _as_computed((moved, seen), states.physics.qpos.dtype)
         return jax.vmap(one)(states, Physics(**moved), Seen(**seen))
 
-    return jax.jit(conclude, compiler_options=runtime.options())
+    return runtime.jit_arrays(conclude)
 
 
 def _as_computed(tree: PyTree, dtype: np.dtype) -> PyTree:
