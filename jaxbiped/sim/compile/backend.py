@@ -114,7 +114,7 @@ def _by_xla(closed: Any, leaves: list[np.ndarray]) -> Any:
         outs = jax.vmap(lambda *lane: jaxpr_as_fun(closed)(*leaves, *lane))(*each)
         return jax.tree.unflatten(tree, outs[:-1])
 
-    return jax.jit(tick, compiler_options={**runtime.options(), "xla_backend_optimization_level": 0})
+    return runtime.jit_arrays(tick, xla_backend_optimization_level=0)
 
 
 def _key(simulation: PureSimulation, states: State) -> Hashable:
