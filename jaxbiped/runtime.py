@@ -62,7 +62,8 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 
 def jit_arrays(function: Callable[P, R], **more: str | int) -> Callable[P, R]:
     """Compile a function of arrays alone with `OPTIONS` and `more`: what `jit` asks at every call is not asked."""
-    return jax.jit(function, compiler_options={**options(), **more})
+    made: Any = jax.jit(function, compiler_options={**options(), **more})
+    return made
 
 
 @functools.cache
