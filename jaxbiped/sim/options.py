@@ -13,6 +13,8 @@ DURATION = Quantity("s", 0.0, 3600.0, above=True)
 """Allowed duration of a walk."""
 COMPLIANT, MJX, C_MUJOCO = "compliant", "mjx", "c_mujoco"
 CONTACTS = (COMPLIANT, MJX, C_MUJOCO)
+XLA, C = "xla", "c"
+BACKENDS = (XLA, C)
 MAX_TICKS = 1_000_000
 
 
@@ -36,6 +38,9 @@ class Options(eqx.Module):
     """Control ticks of sensor delay there is room for."""
     trace_every: int = eqx.field(static=True, default=0)
     """Control ticks between two samples of the trace; 0 for no trace."""
+    backend: str = eqx.field(static=True, default=XLA)
+    """What compiles whole walks: `xla`, or `c` (the system's C compiler, for a CPU; no traces, no noise, `compliant`
+    contacts only); see `compile`."""
 
     def __check_init__(self) -> None:
         """Refuse options that cannot be simulated."""
@@ -50,11 +55,30 @@ class Options(eqx.Module):
             )
         if self.contact not in CONTACTS:
             raise ValueError(f"contact: got {self.contact!r}, allowed: {', '.join(CONTACTS)}")
+        if self.backend not in BACKENDS:
+            raise ValueError(f"backend: got {self.backend!r}, allowed: {', '.join(BACKENDS)}")
+        require_backend(self)
 
     @property
     def control_dt(self) -> float:
         """Control tick [s]."""
         return self.dt * self.control_every
+
+
+def require_backend(options: Options) -> None:
+    """Refuse what only XLA serves.
+
+    Raises:
+        ValueError: with the name of it.
+    """
+    asked = {
+        f"contact {options.contact!r}": options.contact != COMPLIANT,
+        "noise": options.noise,
+        "traces": options.trace_every > 0,
+    }
+    if options.backend == C and any(asked.values()):
+        what = next(name for name, is_asked in asked.items() if is_asked)
+        raise ValueError(f"backend: got 'c', which has no {what}; allowed: {XLA}")
 
 
 def own_options(robot: RobotParams, gait: Gait) -> Options:

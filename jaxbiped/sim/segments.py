@@ -6,6 +6,7 @@ next scenario, and when all have finished, no further segment is begun.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbiped import runtime
+from jaxbiped.sim.compile import backend
+from jaxbiped.sim.options import C
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
@@ -47,7 +50,7 @@ def _at_once(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: 
     states, walked = _begin(simulation, scenarios, _count(ticks)), 0
     stopped = ticks <= 0
     while not stopped:
-        states, stops = _segment(simulation, states)
+        states, stops = _further(simulation, states)
         walked += ticks_of_segment(simulation)
         stopped = bool(np.all(stops))
         told(1.0 if stopped else walked / ticks)
@@ -61,7 +64,7 @@ def _in_turn(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: 
     walks: list[Walk | None] = [None] * n
     states = _begin(simulation, _take(scenarios, holds), _count(ticks))
     while any(walk is None for walk in walks):
-        states, stops = _segment(simulation, states)
+        states, stops = _further(simulation, states)
         done = np.flatnonzero(np.asarray(stops) & (holds < n))
         if not done.size:
             continue
@@ -111,6 +114,13 @@ def _take(scenarios: Scenario, rows: np.ndarray) -> Scenario:
 @runtime.jit
 def _begin(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""]) -> State:
     return jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
+
+
+def _further(simulation: PureSimulation, states: State) -> tuple[State, Any]:
+    """A segment later, and which walks have stopped, by the backend that is asked for."""
+    if simulation.options.backend == C:
+        return backend.segment(simulation, states, ticks_of_segment(simulation))
+    return _segment(simulation, states)
 
 
 @runtime.jit

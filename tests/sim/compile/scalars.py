@@ -1,0 +1,68 @@
+"""Small functions as programs: a lane for every row of their arguments."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbiped.sim.compile.arrays import filled
+from jaxbiped.sim.compile.evaluate import one_tick
+from jaxbiped.sim.compile.graph import Graph
+from jaxbiped.sim.compile.interpret import ROLLED, scalarise
+from jaxbiped.sim.compile.machine import Machine
+from jaxbiped.sim.compile.program import Program, Word
+
+
+def program_of(function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED) -> Program:
+    """The program whose words are the elements of the arguments, then those of what comes of them."""
+    graph, inputs = Graph(), []
+    words: list[Word] = []
+    for leaf, arg in enumerate(args):
+        mine = [Word(leaf, i, arg.dtype) for i in range(arg[0].size)]
+        words += mine
+        inputs.append(
+            filled((graph.input(w.leaf, w.element, w.dtype) for w in mine), arg.shape[1:], arg.dtype)
+        )
+    closed = jax.make_jaxpr(function)(*(arg[0] for arg in args))
+    outs = scalarise(closed, inputs, graph, rolled)
+    after = [graph.input(word.leaf, word.element, word.dtype) for word in words]
+    for leaf, out in enumerate(outs, len(args)):
+        dtype = closed.out_avals[leaf - len(args)].dtype
+        words += [Word(leaf, i, dtype) for i in range(out.size)]
+        after += list(np.asarray(out).reshape(-1))
+    return Program(graph, words, after, np.False_)
+
+
+def run_graph(
+    function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED
+) -> list[np.ndarray]:
+    """What comes of the arguments, by NumPy."""
+    program, lanes = program_of(function, args, rolled), len(args[0])
+    given = [row for arg in args for row in arg.reshape(lanes, -1).T]
+    spare = [np.zeros(lanes, word.dtype) for word in program.words[len(given) :]]
+    rows = one_tick(program, [*given, *spare], lambda leaf: np.zeros(0))
+    return _shaped(function, args, rows[len(given) :])
+
+
+def run_c(
+    function: Callable[..., Any], args: tuple[np.ndarray, ...], single: bool, rolled: int = ROLLED
+) -> list[np.ndarray]:
+    """What comes of the arguments, by machine code."""
+    program, lanes = program_of(function, args, rolled), len(args[0])
+    given = [row for arg in args for row in arg.reshape(lanes, -1).T]
+    spare = [np.zeros(lanes, word.dtype) for word in program.words[len(given) :]]
+    rows = Machine(program, single).advance([], [*given, *spare], 1)
+    return _shaped(function, args, rows[len(given) :])
+
+
+def _shaped(function: Any, args: tuple[np.ndarray, ...], rows: list[np.ndarray]) -> list[np.ndarray]:
+    shapes = jax.tree.leaves(jax.eval_shape(jax.vmap(function), *args))
+    out, at = [], 0
+    for shape in shapes:
+        size = int(np.prod(shape.shape[1:], dtype=int))
+        out.append(
+            np.stack(rows[at : at + size], axis=-1).reshape(shape.shape) if size else np.zeros(shape.shape)
+        )
+        at += size
+    return out

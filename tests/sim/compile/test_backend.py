@@ -1,0 +1,170 @@
+"""Closed loops in machine code: a tick from random moving states in float64, and short walks against XLA's."""
+
+import dataclasses
+import shutil
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbiped import robot, runtime
+from jaxbiped.adapt import Controller, Landing, PayloadReflex
+from jaxbiped.planner import own_gait
+from jaxbiped.sim import Options, Scenario, Simulation, own_options, prepare, segments
+from jaxbiped.sim.compile import backend
+from jaxbiped.sim.compile.machine import Machine
+from jaxbiped.sim.compile.trace import program_of, shared_leaves, trace
+from jaxbiped.sim.tick import State
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+LANES = 32
+AMPLIFIED = 5.0
+"""By how much more than XLA's own walks from nudged masses those in C may differ from XLA's, at the most."""
+
+
+def simulation(name: str, **options: Any) -> Simulation:
+    """elkahlout with the modified payload reflex, surena3 with the repaired landing."""
+    params = robot.load(name)
+    gait = own_gait(params, 4)
+    stage = PayloadReflex.modified(params, gait) if name == "elkahlout" else Landing.repaired()
+    return prepare(params, Controller(gait, stage), dataclasses.replace(own_options(params, gait), **options))
+
+
+def scenarios(n: int, seed: int = 0) -> Scenario:
+    """Loads, pushes, pads, other masses; one robot in eight is pushed over."""
+    random, real = np.random.default_rng(seed), jnp.result_type(float)
+    batch = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (n, *leaf.shape)), Scenario.flat(2))
+    lower = random.uniform([0.3, -0.3], [0.9, 0.1], (n, 2, 2))
+    force = np.where(np.arange(n)[:, None] % 8 == 3, 900.0, random.normal(0.0, 20.0, (n, 3)))
+    values = {
+        "terrain.lower": lower, "terrain.upper": lower + random.uniform(0.05, 0.4, (n, 2, 2)),
+        "terrain.height": random.normal(0.0, 0.01, (n, 2)), "payload.mass": random.uniform(0.0, 15.0, n),
+        "payload.time": random.uniform(0.0, 1.5, n), "push.force": force, "push.start": np.full(n, 0.3),
+        "push.length": np.full(n, 0.1), "errors.mass_scale": random.uniform(0.95, 1.05, (n, 13)),
+    }  # fmt: skip
+
+    parts = lambda s: [getattr(getattr(s, a), b) for a, b in (name.split(".") for name in values)]  # noqa: E731
+    return eqx.tree_at(parts, batch, [jnp.asarray(value, real) for value in values.values()])
+
+
+def moving(states: State, duration: float) -> State:
+    """States at any time of a walk, somewhere else and moving, some of them failed, some flags turned."""
+    random = np.random.default_rng(1)
+
+    def shaken(leaf: np.ndarray) -> np.ndarray:
+        if leaf.dtype == bool:
+            return random.random(leaf.shape) < 0.5
+        if leaf.dtype.kind != "f":
+            return leaf
+        near = np.where(np.isfinite(leaf), leaf, random.uniform(0.0, 3.0, leaf.shape))
+        return near + 0.05 * random.normal(size=leaf.shape) * (1.0 + 0.2 * np.abs(near))
+
+    n, world = len(states.time), states.world
+    states = eqx.tree_at(
+        lambda s: s.world, jax.tree.map(lambda leaf: shaken(np.asarray(leaf)), states), world
+    )
+    qpos = states.physics.qpos
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    tick = random.integers(0, int(duration / 5e-4), n).astype(np.int32)
+    new = (
+        random.normal(0.0, 1.0, states.physics.qvel.shape),
+        tick,
+        (random.random(n) < 0.15).astype(np.int32),
+    )
+    return eqx.tree_at(lambda s: (s.physics.qvel, s.physics.tick, s.record.statistics.status), states, new)
+
+
+@pytest.mark.parametrize("name", ["elkahlout", "surena3"])
+def test_a_tick_from_random_moving_states_in_double(name: str, x64: None):
+    one = simulation(name)
+    states = segments._begin(one, scenarios(LANES), jnp.asarray(1000, jnp.int32))
+    states = moving(states, float(one.controller.gait.duration))
+    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
+    closed = trace(one, shapes)
+    machine = Machine(program_of(closed, one, shapes), single=False)
+    leaves = shared_leaves(one)
+    got, want = machine.advance(leaves, states, 1), backend._by_xla(closed, leaves)(states)
+    assert np.asarray(got.physics.tick != states.physics.tick).mean() > 0.5  # they do move
+    for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(got), jax.tree.leaves(want), strict=True):
+        b, where = np.asarray(b), jax.tree_util.keystr(path)
+        if b.dtype.kind != "f":
+            np.testing.assert_array_equal(a, b, err_msg=where)
+            continue
+        size = max(1.0, np.abs(b[np.isfinite(b)]).max(initial=0.0))
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10 * size, err_msg=where)
+
+
+@pytest.fixture(scope="module")
+def in_c() -> Simulation:
+    return simulation("elkahlout", backend="c")
+
+
+def test_walks_are_those_of_xla(in_c: Simulation):
+    """As close as XLA's own walks are if all masses are changed by their last bit: touchdowns amplify rounding."""
+    batch, in_xla = scenarios(20), simulation("elkahlout")
+    nudged = eqx.tree_at(
+        lambda s: s.errors.mass_scale, batch, batch.errors.mass_scale * np.float32(1.0 + 1.2e-7)
+    )
+    got, want, other = in_c.run_many(batch, 1.0), in_xla.run_many(batch, 1.0), in_xla.run_many(nudged, 1.0)
+    np.testing.assert_array_equal(got.statistics.status, want.statistics.status)
+    upright = np.asarray(want.statistics.status) == 0
+    assert 0.5 < upright.mean() < 1.0
+    leaves = jax.tree_util.tree_leaves_with_path(want.statistics)
+    for (path, b), a, c in zip(
+        leaves, *map(jax.tree.leaves, (got.statistics, other.statistics)), strict=True
+    ):
+        a, b, c = (np.asarray(x)[upright].astype(float) for x in (a, b, c))
+        finite = np.isfinite(b)
+        size = max(1.0, np.abs(b[finite]).max(initial=0.0))
+        ours, xlas = (np.abs(x[finite] - b[finite]).max(initial=0.0) / size for x in (a, c))
+        assert ours <= AMPLIFIED * xlas + 1e-4, jax.tree_util.keystr(path)
+
+
+def test_walks_do_not_depend_on_the_number_of_lanes(in_c: Simulation):
+    batch = scenarios(20)
+    told: list[float] = []
+    together, in_turn = in_c.run_many(batch, 1.0), in_c.run_many(batch, 1.0, told.append, lanes=6)
+    for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(in_turn), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+    assert told[-1] == 1.0
+    alone = in_c.run(jax.tree.map(lambda leaf: leaf[5], batch), 1.0)
+    for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_array_equal(np.asarray(a)[5], np.asarray(b))
+
+
+def test_wrong_machine_code_is_refused_by_the_name_of_the_variable(in_c: Simulation):
+    states = segments._begin(in_c, scenarios(4), jnp.asarray(1000, jnp.int32))
+    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
+    closed = trace(in_c, shapes)
+    machine, advance = backend.machine_of(in_c, states), Machine.advance
+
+    class Wrong(Machine):
+        def __init__(self) -> None:
+            self.__dict__.update(machine.__dict__)
+
+        def advance(self, leaves: Any, states: Any, ticks: int) -> Any:
+            new = advance(self, leaves, states, ticks)
+            return eqx.tree_at(lambda s: s.zmp, new, new.zmp + 0.01)
+
+    with pytest.raises(ValueError, match=r"'c' differs from XLA in zmp in 100% of lanes"):
+        backend.compare(Wrong(), closed, in_c, jax.tree.map(np.asarray, states))
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [({"noise": True}, "noise"), ({"trace_every": 5}, "traces"), ({"contact": "mjx"}, "contact 'mjx'")],
+)
+def test_what_only_xla_serves_is_refused(options: dict[str, Any], what: str):
+    with pytest.raises(ValueError, match=f"backend: got 'c', which has no {what}; allowed: xla"):
+        Options(backend="c", **options)
+    with pytest.raises(ValueError, match="backend: got 'fortran', allowed: xla, c"):
+        Options(backend="fortran")
+
+
+def test_machine_code_is_kept_beside_the_kernels():
+    from jaxbiped.sim.compile import build
+
+    assert build.folder().parent == runtime.cache_folder().parent
