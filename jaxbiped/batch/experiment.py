@@ -17,7 +17,7 @@ from jaxbiped.checked import Refusal, Word, refuse_unknown, whole
 from jaxbiped.robot import RobotParams, on_device
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
-from jaxbiped.sim.options import DURATION
+from jaxbiped.sim.options import DURATION, XLA
 from jaxbiped.sim.scenario import pad_under, require_clear_start, require_swing_clears
 from jaxbiped.sim.stability import require_stable_dt
 
@@ -80,6 +80,8 @@ class Experiment:
             raise ValueError(
                 f"trace_every: got {self.options.trace_every}, allowed: 0; replay a row for its trace"
             )
+        if self.options.backend != XLA:
+            raise ValueError(f"backend: got {self.options.backend!r}, allowed: {XLA}, in batches")
         inputs.require_apart(self.table, self.pads)
         if judge:
             least, strongest = self.table["sinkage_m"].min(), self.table["gain_scale"].max()

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from jaxbiped import adapt, batch, checked, robot, sim
@@ -26,7 +25,7 @@ from jaxbiped.commands.choices import (
 )
 from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.planner import Gait
-from jaxbiped.sim.scenario import RANGES, pad_under, require_swing_clears
+from jaxbiped.sim.scenario import RANGES, require_swing_clears
 
 VARIANTS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
 REFLEX_VARIANTS = (ORIGINAL, MODIFIED)
@@ -118,7 +117,6 @@ def set_up(
     of_file = _of_file(words, params, gait, allow_infeasible)
     gait = gait if of_file is None else of_file.gait
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
-    _refuse_overlaps(pads, params, gait)
     if of_file is None:
         chosen = _variants(words, bool(pads), load is not None)
         controller = adapt.Controller(
@@ -135,7 +133,8 @@ def set_up(
     try:
         one = recipes.walk(robot_name, controller, heights, **loaded, name=name)
     except ValueError as error:
-        raise InputError(f"--obstacle: {str(error).partition(': ')[2]}") from None
+        where, got, rest = str(error).partition("got ")
+        raise InputError(f"{'--obstacle: ' if where.startswith('scenarios') else where}{got}{rest}") from None
     return of_row(one, {"variant": name, "scenario": 0, **one.table.row(0, named=True)}, chosen)
 
 
@@ -281,16 +280,3 @@ def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants
         )
     otherwise = REPAIRED if REPAIRED in words else OFF
     return Variants(PAPER if PAPER in words else otherwise, reflexes[0] if reflexes else otherwise)
-
-
-def _refuse_overlaps(pads: list[Obstacle], params: robot.RobotParams, gait: Gait) -> None:
-    """Refuse overlapping pads, whose heights would add up to something nobody asked for."""
-    places = [pad_under(params, gait, pad.step) for pad in pads]
-    for i, (lower, upper) in enumerate(places):
-        for j, (other_lower, other_upper) in enumerate(places[:i]):
-            if np.all(lower < other_upper) and np.all(other_lower < upper):
-                first, second = sorted((pads[i].step, pads[j].step))
-                raise InputError(
-                    f"--obstacle: got pads under steps {first} and {second} that overlap in this gait, allowed: pads "
-                    "apart from each other"
-                )

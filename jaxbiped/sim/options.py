@@ -57,7 +57,7 @@ class Options(eqx.Module):
             raise ValueError(f"contact: got {self.contact!r}, allowed: {', '.join(CONTACTS)}")
         if self.backend not in BACKENDS:
             raise ValueError(f"backend: got {self.backend!r}, allowed: {', '.join(BACKENDS)}")
-        require_backend(self)
+        _require_backend(self)
 
     @property
     def control_dt(self) -> float:
@@ -65,7 +65,7 @@ class Options(eqx.Module):
         return self.dt * self.control_every
 
 
-def require_backend(options: Options) -> None:
+def _require_backend(options: Options) -> None:
     """Refuse what only XLA serves.
 
     Raises:

@@ -17,7 +17,7 @@ from jaxbiped import runtime
 from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
 from jaxbiped.sim.compile.machine import Machine
 from jaxbiped.sim.compile.trace import is_part, program_of, shared_leaves, trace
-from jaxbiped.sim.options import XLA, require_backend
+from jaxbiped.sim.options import XLA
 from jaxbiped.sim.tick import ENDLESS, PureSimulation, State
 
 MOVING, COMPARED, TICKS = 50, 16, 3
@@ -34,10 +34,8 @@ def segment(simulation: PureSimulation, states: State, ticks: int) -> tuple[Stat
     """States with a leading axis so many control ticks later, and which walks have stopped.
 
     Raises:
-        ValueError: for options that only XLA serves, where there is no C compiler, and where the machine code does
-            not do what XLA's does.
+        ValueError: where there is no C compiler, and where the machine code does not do what XLA's does.
     """
-    require_backend(simulation.options)
     states = machine_of(simulation, states).advance(shared_leaves(simulation), states, ticks)
     return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
 

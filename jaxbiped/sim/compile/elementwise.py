@@ -84,8 +84,3 @@ def _select(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
         here = each(of.graph, "eq", np.dtype(bool), which, kind.type(k)[None].reshape(()))
         out = each(of.graph, "select", dtype, here, out, cases[k])
     return [out]
-
-
-@rule("nextafter", "erf_inv", "random_bits", "random_wrap", "random_unwrap", "threefry2x32")
-def _never(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
-    raise UnknownPrimitiveError(f"no rule for the primitive {eqn.primitive.name!r}")

@@ -33,7 +33,7 @@ def numbered(arrays: list[Values]) -> list[np.ndarray]:
     ]
 
 
-@rule("iota", "rng_uniform")
+@rule("iota")
 def _made(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     return bind(eqn, ins)
 

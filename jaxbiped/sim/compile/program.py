@@ -55,11 +55,7 @@ class Program:
     def __post_init__(self) -> None:
         """Sort the nodes."""
         order = list(_in_order(self.graph, [*self.after, self.stopped]))
-        fixed = {
-            word.place
-            for word, new in zip(self.words, self.after, strict=True)
-            if isinstance(new, Node) and new.op == INPUT and new.param == word.place
-        }
+        fixed = {word.place for i, word in enumerate(self.words) if self._is_fixed(i, word)}
         carried = {word.place for word in self.words}
         level: dict[int, Level] = {}
         phase: dict[int, int] = {}
