@@ -28,7 +28,7 @@ from jaxbiped.sim.statistics import (
     TOUCHING,
 )
 
-OPTIONS = Options(dt=1e-3, control_every=2, feed_forward=False, contact=C_MUJOCO)
+OPTIONS = Options(dt=1e-3, control_every=5, feed_forward=False, contact=C_MUJOCO)
 DURATION = 2.6
 
 
@@ -171,7 +171,15 @@ def test_they_are_those_of_numpy(walked, lane):
         if tally.kept["status"] != OK:
             break
     stats = walks.statistics
-    for name, wanted in tally.kept.items():
+    if tally.kept["status"] != OK:  # inside a control tick, whose other physics ticks must leave it as it is
+        assert number % OPTIONS.control_every != 0
+    last = {
+        "touch_time": [-1.0 if touched is None else touched for touched in tally.touched],
+        "anchor": tally.anchor,
+        "touch_impulse": tally.impulse,
+        "support_time": tally.supported,
+    }
+    for name, wanted in (tally.kept | last).items():
         got = np.asarray(getattr(stats, name))[lane]
         np.testing.assert_allclose(got, wanted, rtol=1e-7, atol=1e-8, err_msg=name)
     assert tally.kept["peak_touchdown_force"].max() > LOADED or lane in (1, 2)
