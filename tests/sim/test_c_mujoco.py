@@ -11,8 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 from closed_loop import STANDS_FOR, setup
+from scipy.integrate import cumulative_trapezoid
 
 from jaxbiped.adapt import Controller
+from jaxbiped.kinematics import joint_angles
 from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import Options, Scenario, ground, lockstep, prepare
 from jaxbiped.sim.mjx_adapter import TRUNK
@@ -228,6 +230,24 @@ def test_attached_cube_is_a_welded_cube():
     np.testing.assert_allclose(inertia[0], inertia[1], atol=1e-5)
     np.testing.assert_allclose(bias[0], bias[1], atol=1e-3)
     np.testing.assert_allclose(centre[0], centre[1], atol=1e-6)
+
+
+def test_servos_integrate_their_error():
+    """A load held with the error e without an integral is held by kp e + ki int e with one."""
+    case, rate = Case("elkahlout"), 4.0
+
+    def knees(ki: float) -> tuple[np.ndarray, np.ndarray]:
+        robot = eqx.tree_at(lambda r: r.servo.ki, case.params, ki * np.asarray(case.params.servo.kp))
+        trace = prepare(robot, case.controller, case.options).run(FLAT, 0.5).trace
+        asked = jax.tree.map(jnp.asarray, trace.targets.position)
+        wanted, _ = jax.vmap(lambda p: joint_angles(case.params, p.sole - p.pelvis))(asked)
+        error = wanted - jax.vmap(BIPED.leg_angles)(jnp.asarray(trace.qpos))
+        return np.asarray(trace.time), np.asarray(error[:, :, 3])
+
+    (_, alone), (time, error) = knees(0.0), knees(rate)
+    assert np.abs(alone).min() > 5e-4 and np.abs(error[-1]).max() < 3e-4
+    held = error + rate * cumulative_trapezoid(error, time, axis=0, initial=0.0)
+    np.testing.assert_allclose(held, alone, rtol=0.15)
 
 
 def test_push_pushes(case):

@@ -80,7 +80,7 @@ def test_longest_tick_is_where_the_tick_itself_becomes_unstable(x64):
     world, state = hanging(params, middle.at[0, 3].add(1e-3))
     for dt, stable in ((0.9 * longest, True), (1.1 * longest, False)):
         away = np.abs(np.asarray(fall(world, state, middle, dt, 150)) - np.asarray(middle)).max(axis=(1, 2))
-        assert (np.nanmax(away[100:]) < 2e-3) == stable, (dt, away[::20])
+        assert np.all(away[100:] < 2e-3) == stable, (dt, away[::20])  # what is flung far enough is NaN
 
 
 def test_a_tick_that_is_unstable_is_refused_with_the_longest_that_is_not():

@@ -44,9 +44,9 @@ def test_one_program_for_every_duration(example_in_float64, compilations):
     found, loss = example_in_float64["found"], example_in_float64["Gentle"]()
     names, values = [t.name for t in found.tunables], []
     for duration in (0.6, 0.4):
-        shorter = dataclasses.replace(example_in_float64["experiment"], duration=duration)
-        before = len(compilations)
         with jax.enable_x64(True):
+            shorter = dataclasses.replace(example_in_float64["experiment"], duration=duration)
+            before = len(compilations)
             short = value_and_grad(shorter, names, loss=loss)
         np.testing.assert_allclose(short.growth_time, duration * np.arange(1, 9) / 8, atol=0.005)
         values.append(short.value)
