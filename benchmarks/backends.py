@@ -20,7 +20,7 @@ from jaxbiped import planner, robot, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
 from jaxbiped.sim import segments  # noqa: E402
 from jaxbiped.sim.compile import backend, trace  # noqa: E402
-from jaxbiped.sim.compile.machine import Machine  # noqa: E402
+from jaxbiped.sim.compile.machine import Code, Machine  # noqa: E402
 
 
 def main() -> None:
@@ -74,7 +74,7 @@ def prepared(simulation: sim.Simulation) -> tuple[Machine, str]:
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
     closed = step("trace", lambda: trace.trace(simulation, one))
     program = step("scalars", lambda: trace.program_of(closed, simulation, one))
-    machine = step("C", lambda: Machine(program))
+    machine = step("C", lambda: Machine(Code.of(program)))
     step("compared", lambda: backend.compare(machine, closed, simulation, states))
     return machine, ", ".join(f"{name} {seconds:.1f} s" for name, seconds in times.items())
 

@@ -1,9 +1,11 @@
 """Files that are whole or not there: written under another name, then renamed; with permissions by the umask."""
 
 import contextlib
+import hashlib
 import itertools
 import os
 import uuid
+from functools import cache
 from pathlib import Path
 
 
@@ -79,3 +81,15 @@ def _keep_name(path: Path) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+@cache
+def source_hash() -> str:
+    """SHA-256 of all source and data files of the package, as they were when first asked."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256()
+    for file in sorted(root.rglob("*")):
+        if file.suffix in {".py", ".toml", ".c"}:
+            digest.update(str(file.relative_to(root)).encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,8 @@ from jaxbiped.checked import Refusal, Word, refuse_unknown, whole
 from jaxbiped.robot import RobotParams, on_device
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
-from jaxbiped.sim.options import DURATION, XLA
+from jaxbiped.sim.compile import backend
+from jaxbiped.sim.options import AUTO, DURATION, XLA
 from jaxbiped.sim.scenario import pad_under, require_clear_start, require_swing_clears
 from jaxbiped.sim.stability import require_stable_dt
 
@@ -80,8 +81,6 @@ class Experiment:
             raise ValueError(
                 f"trace_every: got {self.options.trace_every}, allowed: 0; replay a row for its trace"
             )
-        if self.options.backend != XLA:
-            raise ValueError(f"backend: got {self.options.backend!r}, allowed: {XLA}, in batches")
         inputs.require_apart(self.table, self.pads)
         if judge:
             least, strongest = self.table["sinkage_m"].min(), self.table["gain_scale"].max()
@@ -148,15 +147,10 @@ class Experiment:
         """The options, with room for what the scenarios bring."""
         given, delay = self.options, float(np.max(self.table["delay_s"].to_numpy()))
         noise = bool((self.table["force_noise_N"] > 0.0).any() or (self.table["angle_noise_rad"] > 0.0).any())
-        return Options(
-            dt=given.dt,
-            control_every=given.control_every,
-            feed_forward=given.feed_forward,
-            payload_model=given.payload_model,
-            contact=given.contact,
-            noise=given.noise or noise,
-            delay_room=max(given.delay_room, int(np.ceil(delay / given.control_dt - 1e-9))),
-        )
+        room = max(given.delay_room, int(np.ceil(delay / given.control_dt - 1e-9)))
+        options = replace(given, noise=given.noise or noise, delay_room=room)
+        ticks = self.table.height * min(self.durations.values()) / given.dt
+        return replace(options, backend=backend.chosen(options, int(ticks)))
 
     @cached_property
     def durations(self) -> dict[str, float]:
@@ -241,11 +235,14 @@ class Experiment:
         """The experiment that was written as `resolved`, with its scenarios."""
         written = resolved["variants"] if "variants" in resolved else resolved["arms"]  # until format 2
         variants = {name: records.from_json(variant) for name, variant in written.items()}
+        options = records.from_json(resolved["options"])
+        if options.backend == AUTO:  # there was only one
+            options = replace(options, backend=XLA)
         made = cls(
             records.from_json(resolved["robot"]),
             variants,
             scenarios,
-            records.from_json(resolved["options"]),
+            options,
             duration=resolved["durations_s"],
             batch=resolved["lanes"],
             judge=False,

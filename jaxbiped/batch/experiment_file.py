@@ -45,7 +45,7 @@ from jaxbiped.planner import GAITS, Gait
 from jaxbiped.planner.constraints import OR_ALLOW
 from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.sim import Options, own_options
-from jaxbiped.sim.options import CONTACTS, DURATION, MAX_TICKS
+from jaxbiped.sim.options import BACKENDS, CONTACTS, DURATION, MAX_TICKS
 from jaxbiped.sim.plant import PAYLOAD_MODELS
 
 TABLES = ("robot", "gait", "variants", "scenarios", "simulation", "score", "report")
@@ -63,6 +63,7 @@ OPTIONS: dict[str, Field] = {
     "feed_forward": Flag("add the plan's inverse dynamics to the servos' torque"),
     "payload_model": Word(PAYLOAD_MODELS),
     "contact": Word(CONTACTS),
+    "backend": Word(BACKENDS),
     "noise": Flag("add the scenario's sensor noise"),
 }
 WHOLE = {

@@ -167,6 +167,7 @@ def _simulation(experiment: Experiment) -> dict[str, Any]:
         "feed_forward": options.feed_forward,
         "payload_model": options.payload_model,
         "contact": options.contact,
+        "backend": options.backend,
         "noise": options.noise,
         "delay_room": options.delay_room,
         "seed": experiment.seed,

@@ -22,7 +22,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -35,6 +34,7 @@ from jaxbiped import files
 from jaxbiped.batch import experiment_writer, records
 from jaxbiped.batch.columns import FAILED, IDENTITY, OUTCOMES
 from jaxbiped.batch.experiment import Chunk, Experiment, table_hash
+from jaxbiped.files import source_hash
 from jaxbiped.score import STATUS_TEXT
 
 EXPERIMENT, SCENARIOS, TABLE, PARTS = "experiment.json", experiment_writer.SCENARIOS, "table.parquet", "parts"
@@ -496,18 +496,6 @@ def _write(path: Path, content: bytes | str) -> None:
 def code() -> dict[str, str]:
     """Code that the rows depend on: versions of packages, and a hash of this one's source."""
     return {**_versions(), "source_sha256": source_hash()}
-
-
-@cache
-def source_hash() -> str:
-    """SHA-256 of all Python and data files of the package, as they were when first asked."""
-    root = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(root.rglob("*")):
-        if file.suffix in {".py", ".toml"}:
-            digest.update(str(file.relative_to(root)).encode())
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def _versions() -> dict[str, str]:

@@ -13,8 +13,8 @@ DURATION = Quantity("s", 0.0, 3600.0, above=True)
 """Allowed duration of a walk."""
 COMPLIANT, MJX, C_MUJOCO = "compliant", "mjx", "c_mujoco"
 CONTACTS = (COMPLIANT, MJX, C_MUJOCO)
-XLA, C = "xla", "c"
-BACKENDS = (XLA, C)
+AUTO, XLA, C = "auto", "xla", "c"
+BACKENDS = (AUTO, XLA, C)
 MAX_TICKS = 1_000_000
 
 
@@ -38,9 +38,9 @@ class Options(eqx.Module):
     """Control ticks of sensor delay there is room for."""
     trace_every: int = eqx.field(static=True, default=0)
     """Control ticks between two samples of the trace; 0 for no trace."""
-    backend: str = eqx.field(static=True, default=XLA)
-    """What compiles whole walks: `xla`, or `c` (the system's C compiler, for a CPU; no traces, no noise, `compliant`
-    contacts only); see `compile`."""
+    backend: str = eqx.field(static=True, default=AUTO)
+    """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; no traces, no noise, `compliant`
+    contacts only), or `auto`: C where it can and there is enough to walk; see `compile`."""
 
     def __check_init__(self) -> None:
         """Refuse options that cannot be simulated."""
@@ -57,7 +57,8 @@ class Options(eqx.Module):
             raise ValueError(f"contact: got {self.contact!r}, allowed: {', '.join(CONTACTS)}")
         if self.backend not in BACKENDS:
             raise ValueError(f"backend: got {self.backend!r}, allowed: {', '.join(BACKENDS)}")
-        _require_backend(self)
+        if self.backend == C and why_not(self) is not None:
+            raise ValueError(f"backend: got 'c', which has no {why_not(self)}; allowed: {XLA}")
 
     @property
     def control_dt(self) -> float:
@@ -65,20 +66,14 @@ class Options(eqx.Module):
         return self.dt * self.control_every
 
 
-def _require_backend(options: Options) -> None:
-    """Refuse what only XLA serves.
-
-    Raises:
-        ValueError: with the name of it.
-    """
+def why_not(options: Options) -> str | None:
+    """What of the options only XLA serves; None if C serves all of them."""
     asked = {
         f"contact {options.contact!r}": options.contact != COMPLIANT,
         "noise": options.noise,
         "traces": options.trace_every > 0,
     }
-    if options.backend == C and any(asked.values()):
-        what = next(name for name, is_asked in asked.items() if is_asked)
-        raise ValueError(f"backend: got 'c', which has no {what}; allowed: {XLA}")
+    return next((what for what, is_asked in asked.items() if is_asked), None)
 
 
 def own_options(robot: RobotParams, gait: Gait) -> Options:

@@ -21,6 +21,8 @@ from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
 Told = Callable[[float], None]
 """Function that is told which fraction of something is done."""
+Further = Callable[[PureSimulation, State], tuple[State, Any]]
+"""Function from states to those a segment later, and which walks have stopped."""
 SEGMENT = 0.5
 """Length of a segment [s]."""
 MAX_ROWS = 25
@@ -40,31 +42,37 @@ def run(
     if simulation.options.trace_every:
         return _traced(simulation, scenarios, ticks, told)
     lanes = n if lanes is None else min(lanes, n)
+    chosen = backend.chosen(simulation.options, n * ticks * simulation.options.control_every)
+    further = _in_c if chosen == C else _segment
     if lanes == n:
-        return _at_once(simulation, scenarios, ticks, told)
-    return _in_turn(simulation, scenarios, ticks, told, lanes)
+        return _at_once(simulation, scenarios, ticks, told, further)
+    return _in_turn(simulation, scenarios, ticks, told, further, lanes)
 
 
-def _at_once(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told) -> Walk:
+def _at_once(
+    simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, further: Further
+) -> Walk:
     """Walk all scenarios at once, each in its own lane."""
     states, walked = _begin(simulation, scenarios, _count(ticks)), 0
     stopped = ticks <= 0
     while not stopped:
-        states, stops = _further(simulation, states)
+        states, stops = further(simulation, states)
         walked += ticks_of_segment(simulation)
         stopped = bool(np.all(stops))
         told(1.0 if stopped else walked / ticks)
     return _walk(states)
 
 
-def _in_turn(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, lanes: int) -> Walk:
+def _in_turn(
+    simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, further: Further, lanes: int
+) -> Walk:
     """Walk in fewer lanes than scenarios: a lane that has finished takes the next one."""
     n = len(scenarios.ground.sinkage)
     holds, waiting = np.arange(lanes), lanes
     walks: list[Walk | None] = [None] * n
     states = _begin(simulation, _take(scenarios, holds), _count(ticks))
     while any(walk is None for walk in walks):
-        states, stops = _further(simulation, states)
+        states, stops = further(simulation, states)
         done = np.flatnonzero(np.asarray(stops) & (holds < n))
         if not done.size:
             continue
@@ -116,11 +124,9 @@ def _begin(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""
     return jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
 
 
-def _further(simulation: PureSimulation, states: State) -> tuple[State, Any]:
-    """A segment later, and which walks have stopped, by the backend that is asked for."""
-    if simulation.options.backend == C:
-        return backend.segment(simulation, states, ticks_of_segment(simulation))
-    return _segment(simulation, states)
+def _in_c(simulation: PureSimulation, states: State) -> tuple[State, Any]:
+    """A segment later, in machine code, and which walks have stopped."""
+    return backend.segment(simulation, states, ticks_of_segment(simulation))
 
 
 @runtime.jit

@@ -23,6 +23,7 @@ from jaxbiped import batch, runtime, sim
 from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
 from jaxbiped.score import Loss, WalkLoss, judge
+from jaxbiped.sim.options import XLA
 
 Numbers = np.ndarray | Array | Sequence[float | int]
 """Values as a caller may give them."""
@@ -128,7 +129,7 @@ class Problem:
     def setting(self) -> "_Setting":
         """Everything that the compiled functions need."""
         one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
-        robot, options = self.experiment.robot, self.experiment.simulation
+        robot, options = self.experiment.robot, dataclasses.replace(self.experiment.simulation, backend=XLA)
         simulation = sim.prepare(robot, self.controller, options, sim.rectangles_of(one))
         ticks = simulation.ticks(self.duration)
         return _Setting(simulation, self.loss, self.tunables, jnp.asarray(self.duration), jnp.asarray(ticks))

@@ -220,7 +220,6 @@ BAD_EXPERIMENTS = [
     ({"batch": 0}, "batch: got 0"),
     ({"seed": -1}, "seed: got -1"),
     ({"options": sim.Options(trace_every=1)}, "trace_every"),
-    ({"options": sim.Options(backend="c")}, "backend: got 'c', allowed: xla, in batches"),
     ({"scenarios": pl.DataFrame({"step_6_height_m": [0.01]})}, "step: got 6"),
 ]
 

@@ -1,7 +1,7 @@
 """Whole segments of batched walks in machine code: `Options(backend="c")`.
 
-The pure tick stays the only source. It is traced and compiled at the first use in a process, and compared there with
-what XLA makes of it; afterwards segments run in C.
+The pure tick stays the only source. At the first use of a robot and controller it is traced, compiled and compared with
+what XLA makes of it; later processes find it on disk (`kept`) and compare it with what XLA made of it then.
 """
 
 from collections.abc import Hashable
@@ -14,10 +14,11 @@ from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Bool
 
 from jaxbiped import runtime
+from jaxbiped.sim.compile import build, kept
 from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
-from jaxbiped.sim.compile.machine import Machine
+from jaxbiped.sim.compile.machine import Code, Machine
 from jaxbiped.sim.compile.trace import is_part, program_of, shared_leaves, trace
-from jaxbiped.sim.options import XLA
+from jaxbiped.sim.options import AUTO, XLA, C, Options, why_not
 from jaxbiped.sim.tick import ENDLESS, PureSimulation, State
 
 MOVING, COMPARED, TICKS = 50, 16, 3
@@ -27,7 +28,22 @@ ROUNDING = {4: 2e-3, 8: 1e-8}
 ODD_LANES = 1 / 8
 """Share of lanes that may differ by more, since a threshold was passed on one side only."""
 
+ENOUGH = 4_000_000
+"""Physics ticks from which on `auto` chooses C: with fewer XLA, which is compiled faster, is ready sooner."""
+
 _machines: dict[Hashable, Machine] = {}
+
+
+def serves(options: Options) -> bool:
+    """Whether walks with such options can be in C here: see `Options.backend`, and there is a compiler."""
+    return why_not(options) is None and jax.default_backend() == "cpu" and build.compiler() is not None
+
+
+def chosen(options: Options, ticks: int) -> str:
+    """The backend of so many physics ticks of one program, those of all its walks together."""
+    if options.backend != AUTO:
+        return options.backend
+    return C if ticks >= ENOUGH and serves(options) else XLA
 
 
 def segment(simulation: PureSimulation, states: State, ticks: int) -> tuple[State, Bool[np.ndarray, " n"]]:
@@ -36,7 +52,8 @@ def segment(simulation: PureSimulation, states: State, ticks: int) -> tuple[Stat
     Raises:
         ValueError: where there is no C compiler, and where the machine code does not do what XLA's does.
     """
-    states = machine_of(simulation, states).advance(shared_leaves(simulation), states, ticks)
+    machine, leaves = machine_of(simulation, states), shared_leaves(simulation)
+    states = machine.advance(leaves, states, ticks, runtime.threads())
     return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
 
 
@@ -44,26 +61,34 @@ def machine_of(simulation: PureSimulation, states: State) -> Machine:
     """The machine code of a simulation, made, and compared, at its first use."""
     key = _key(simulation, states)
     if key not in _machines:
-        _machines[key] = _made(simulation, states)
+        _machines[key] = _made(simulation, states, key[:2])
     return _machines[key]
 
 
-def _made(simulation: PureSimulation, states: State) -> Machine:
-    """Traced, compiled and compared."""
+def _made(simulation: PureSimulation, states: State, parts: Hashable) -> Machine:
+    """From what is kept, compared with the example there; else traced, compiled and compared."""
+    name = kept.name_of(simulation, parts)
+    found = kept.recall(name)
+    if found is not None:
+        machine = Machine(found.code)
+        tree = jax.tree.structure(states)
+        before, after = (jax.tree.unflatten(tree, each) for each in found.example[1:])
+        _require_same(machine.advance(found.example.leaves, before, TICKS), after)
+        return machine
     states = jax.tree.map(np.asarray, states)
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
     closed = trace(simulation, one)
     try:
-        program = program_of(closed, simulation, one)
-        machine = Machine(program, single=states.time.dtype == np.float32)
+        code = Code.of(program_of(closed, simulation, one), single=states.time.dtype == np.float32)
     except UnknownPrimitiveError as error:
         raise ValueError(f"backend: 'c' cannot do this walk: {error}; allowed: {XLA}") from error
-    compare(machine, closed, simulation, states)
+    machine = Machine(code)
+    kept.keep(name, kept.Kept(code, compare(machine, closed, simulation, states)))
     return machine
 
 
-def compare(machine: Machine, closed: Any, simulation: PureSimulation, states: State) -> None:
-    """Refuse machine code that does not do what XLA's does, from a moving state on.
+def compare(machine: Machine, closed: Any, simulation: PureSimulation, states: State) -> kept.Example:
+    """Refuse machine code that does not do what XLA's does, from a moving state on; what XLA's does.
 
     Raises:
         ValueError: with the name of the variable that differs most.
@@ -72,11 +97,18 @@ def compare(machine: Machine, closed: Any, simulation: PureSimulation, states: S
     few = np.arange(COMPARED) % len(states.time)
     states = jax.tree.map(lambda leaf: leaf[few], states)
     states = eqx.tree_at(lambda s: s.left, states, np.full(COMPARED, ENDLESS, np.int32))
-    before = machine.advance(leaves, states, MOVING)
-    ours, theirs = before, before
+    before = after = machine.advance(leaves, states, MOVING)
     tick = _by_xla(closed, leaves)
     for _ in range(TICKS):
-        ours, theirs = machine.advance(leaves, ours, 1), tick(theirs)
+        after = tick(after)
+    _require_same(machine.advance(leaves, before, TICKS), after)
+    return kept.Example(
+        leaves, jax.tree.leaves(before), [np.asarray(leaf) for leaf in jax.tree.leaves(after)]
+    )
+
+
+def _require_same(ours: State, theirs: State) -> None:
+    """Refuse what differs in more lanes than a threshold explains."""
     name, odd = worst(ours, theirs)
     if odd > ODD_LANES:
         raise ValueError(f"backend: 'c' differs from XLA in {name} in {odd:.0%} of lanes; allowed: {XLA}")

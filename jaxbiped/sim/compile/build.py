@@ -52,11 +52,15 @@ def load(text: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(file))
 
 
+def compiler() -> str | None:
+    """The system's C compiler, the one that the environment names in CC or `cc`; None if there is none."""
+    return shutil.which(os.environ.get("CC", "cc"))
+
+
 def _compiler() -> str:
-    name = os.environ.get("CC", "cc")
-    found = shutil.which(name)
+    found = compiler()
     if found is None:
-        raise NoCompilerError(f"backend: 'c' needs a C compiler, and there is no {name!r} here; allowed: xla")
+        raise NoCompilerError("backend: 'c' needs a C compiler, and there is no cc here; allowed: xla")
     return found
 
 

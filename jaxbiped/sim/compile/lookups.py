@@ -8,7 +8,7 @@ from jax import lax
 from jaxbiped.sim.compile.arrays import Values, filled, is_known, joined, objects, picked
 from jaxbiped.sim.compile.graph import INPUT, TAKE, Graph, Node, Scalar
 from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
-from jaxbiped.sim.compile.moves import bind, numbered
+from jaxbiped.sim.compile.moves import ordered, starts_of, windows
 
 MOST_CHOICES = 24
 """Choices up to which a look-up is a tree of selections."""
@@ -54,11 +54,9 @@ def _dynamic_slice(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]
     x, *starts = ins
     tops = [n - size for n, size in zip(x.shape, eqn.params["slice_sizes"], strict=True)]
     columns = [objects(start).reshape(-1)[0] for start in starts]
-    kinds = [var.aval.dtype for var in eqn.invars[1:]]
 
     def positions(values: list[int]) -> np.ndarray:
-        at = [np.asarray(value, kind) for value, kind in zip(values, kinds, strict=True)]
-        return bind(eqn, [*numbered([x]), *at])[0]
+        return windows(x.shape, np.array(values, int), eqn.params["slice_sizes"], dropped=False)
 
     rows = [columns] * eqn.outvars[0].aval.size
     return [_looked_up(of, eqn, x, rows, tops, positions)]
@@ -69,8 +67,7 @@ def _gather(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     x, indices = ins
     dropped = eqn.params["mode"] == lax.GatherScatterMode.FILL_OR_DROP
     if is_known(indices):
-        fill = {"fill_value": -1} if dropped else {}
-        (known,) = bind(eqn, [*numbered([x]), indices], **fill)
+        known = _positions(eqn, x.shape, indices, dropped)
         if known.min(initial=0) < 0:
             raise UnknownPrimitiveError("'gather' outside of its operand")
         return [picked(joined([x]), known, out_type(eqn))]
@@ -82,10 +79,21 @@ def _gather(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
     def positions(values: list[int]) -> np.ndarray:
         at = np.broadcast_to(np.asarray(values, eqn.invars[1].aval.dtype), indices.shape)
-        return bind(eqn, [*numbered([x]), at], mode=lax.GatherScatterMode.CLIP, fill_value=None)[0]
+        return _positions(eqn, x.shape, at, dropped=False)
 
     rows = [list(each_row[row]) for row in _rows_of(eqn).reshape(-1)]
     return [_looked_up(of, eqn, x, rows, tops, positions)]
+
+
+def _positions(eqn: Any, shape: tuple[int, ...], indices: Values, dropped: bool) -> np.ndarray:
+    """Positions in the operand of a gather's output, by known indices."""
+    numbers, sizes = eqn.params["dimension_numbers"], eqn.params["slice_sizes"]
+    batch = zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
+    starts = starts_of(indices, len(shape), list(map(int, numbers.start_index_map)), list(batch))
+    single = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims}
+    kept = [size for axis, size in enumerate(sizes) if axis not in single]
+    places = windows(shape, starts, sizes, dropped).reshape((*starts.shape[:-1], *kept))
+    return ordered(places, list(map(int, numbers.offset_dims)))
 
 
 def _rows_of(eqn: Any) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""Primitives that only move elements about, to places that are known: run by JAX itself on numbers of positions."""
+"""Primitives that only move elements about, to places that are known: computed on numbers of positions."""
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -35,7 +35,11 @@ def numbered(arrays: list[Values]) -> list[np.ndarray]:
 
 @rule("iota")
 def _made(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
-    return bind(eqn, ins)
+    shape, axis = eqn.outvars[0].aval.shape, eqn.params["dimension"]
+    along = np.arange(shape[axis], dtype=out_type(eqn)).reshape(
+        [-1 if i == axis else 1 for i in range(len(shape))]
+    )
+    return [np.broadcast_to(along, shape)]
 
 
 @rule("reshape", "squeeze", "expand_dims")
@@ -65,7 +69,23 @@ def _slice(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     return [tidy(ins[0][tuple(slice(*part) for part in parts)], out_type(eqn))]
 
 
-@rule("rev", "concatenate", "stack", "tile", "split", "pad")
+@rule("rev")
+def _rev(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+    return [np.flip(ins[0], eqn.params["dimensions"])]
+
+
+@rule("concatenate")
+def _concatenate(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+    return [np.concatenate(ins if all(map(is_known, ins)) else [*map(objects, ins)], eqn.params["dimension"])]
+
+
+@rule("split")
+def _split(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+    ends, axis = np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"]
+    return [tidy(part, out_type(eqn)) for part in np.split(ins[0], ends, axis)]
+
+
+@rule("stack", "tile", "pad")
 def moved(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     """Elements of all operands at positions that JAX tells."""
     if all(map(is_known, ins)):
@@ -73,6 +93,41 @@ def moved(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     flat = joined(ins)
     outs = bind(eqn, numbered(ins))
     return [picked(flat, out, out_type(eqn, i)) for i, out in enumerate(outs)]
+
+
+def windows(shape: tuple[int, ...], starts: np.ndarray, sizes: Sequence[int], dropped: bool) -> np.ndarray:
+    """Positions in an array of windows that begin at `starts`, (*batch, ndim), as (*batch, *sizes).
+
+    A window that would reach out of the array is moved into it, or, if `dropped`, has -1 everywhere.
+    """
+    tops = np.array(shape, int) - np.array(sizes, int)
+    inside = np.all((starts >= 0) & (starts <= tops), axis=-1)
+    starts = np.clip(starts, 0, tops)
+    within = np.stack(np.indices(sizes, int), axis=-1) if len(sizes) else np.zeros((0,), int)
+    places = starts[(..., *[None] * len(sizes), slice(None))] + within
+    strides = np.array([math.prod(shape[axis + 1 :]) for axis in range(len(shape))], int)
+    flat = places @ strides
+    return np.where(inside[(..., *[None] * len(sizes))], flat, -1) if dropped else flat
+
+
+def starts_of(
+    indices: Values, rank: int, axes: Sequence[int], batch: Sequence[tuple[int, int]]
+) -> np.ndarray:
+    """Where windows begin, (*batch, rank), by indices (*batch, k) along `axes` of the array.
+
+    Args:
+        indices: known.
+        rank: of the array.
+        axes: that the indices are of.
+        batch: pairs of an axis of the array and the axis of the indices that runs along it.
+    """
+    starts = np.zeros((*indices.shape[:-1], rank), int)
+    for k, axis in enumerate(axes):
+        starts[..., axis] = indices[..., k]
+    for axis, other in batch:
+        along = [-1 if i == other else 1 for i in range(indices.ndim - 1)]
+        starts[..., axis] = np.arange(indices.shape[other]).reshape(along)
+    return starts
 
 
 @rule("scatter", "scatter-add", "scatter_add", "scatter-mul", "scatter_mul")
@@ -121,37 +176,25 @@ def _candidates(
 def _places(
     eqn: Any, shape: tuple[int, ...], indices: Values, updates: tuple[int, ...]
 ) -> list[tuple[int, int]]:
-    """Where every update goes, as (update, place), by scattering numbers of updates; bit by bit where they meet."""
-    size = int(np.prod(updates, dtype=int))
-    if size == 0:
-        return []
-    if _hits(eqn, shape, indices, np.ones(updates, np.int32)).max(initial=0) <= 1:
-        numbers = _hits(eqn, shape, indices, np.arange(1, size + 1).reshape(updates)).reshape(-1)
-        return [(int(n) - 1, place) for place, n in enumerate(numbers) if n]
-    found = []
-    for update in range(size):
-        one = np.zeros(size, np.int32)
-        one[update] = 1
-        hits = _hits(eqn, shape, indices, one.reshape(updates)).reshape(-1)
-        found += [(update, int(place)) for place in np.flatnonzero(hits)]
-    return found
+    """Where every update goes, as (update, place); nowhere if its window reaches out of the operand."""
+    numbers = eqn.params["dimension_numbers"]
+    batch = zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True)
+    axes = list(map(int, numbers.scatter_dims_to_operand_dims))
+    starts = starts_of(np.asarray(indices), len(shape), axes, list(batch))
+    single = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
+    inside = iter(updates[axis] for axis in numbers.update_window_dims)
+    sizes = [1 if axis in single else next(inside) for axis in range(len(shape))]
+    dropped = eqn.params["mode"] != lax.GatherScatterMode.CLIP
+    places = windows(shape, starts, sizes, dropped)
+    # the windows' own axes go to where the updates have them
+    places = places.reshape((*starts.shape[:-1], *(updates[axis] for axis in numbers.update_window_dims)))
+    places = ordered(places, list(map(int, numbers.update_window_dims))).reshape(-1)
+    return [(update, int(place)) for update, place in enumerate(places) if place >= 0]
 
 
-def _hits(eqn: Any, shape: tuple[int, ...], indices: Values, updates: np.ndarray) -> np.ndarray:
-    """Updates added up at their places."""
-    p = eqn.params
-    with jax.ensure_compile_time_eval():
-        return np.asarray(
-            lax.scatter_add(
-                jnp.zeros(shape, jnp.int32),
-                jnp.asarray(indices),
-                jnp.asarray(updates, jnp.int32),
-                p["dimension_numbers"],
-                indices_are_sorted=p["indices_are_sorted"],
-                unique_indices=p["unique_indices"],
-                mode=p["mode"],
-            )
-        )
+def ordered(windows: np.ndarray, to: Sequence[int]) -> np.ndarray:
+    """The same with the last axes, those of the windows, moved to given places."""
+    return np.moveaxis(windows, range(windows.ndim - len(to), windows.ndim), to)
 
 
 @rule("dynamic_update_slice")

@@ -10,7 +10,7 @@ from jaxbiped.sim.compile.arrays import filled
 from jaxbiped.sim.compile.evaluate import one_tick
 from jaxbiped.sim.compile.graph import Graph
 from jaxbiped.sim.compile.interpret import ROLLED, scalarise
-from jaxbiped.sim.compile.machine import Machine
+from jaxbiped.sim.compile.machine import Code, Machine
 from jaxbiped.sim.compile.program import Program, Word
 
 
@@ -52,7 +52,7 @@ def run_c(
     program, lanes = program_of(function, args, rolled), len(args[0])
     given = [row for arg in args for row in arg.reshape(lanes, -1).T]
     spare = [np.zeros(lanes, word.dtype) for word in program.words[len(given) :]]
-    rows = Machine(program, single).advance([], [*given, *spare], 1)
+    rows = Machine(Code.of(program, single)).advance([], [*given, *spare], 1)
     return _shaped(function, args, rows[len(given) :])
 
 

@@ -1,6 +1,5 @@
 """Closed loops in machine code: a tick from random moving states in float64, and short walks against XLA's."""
 
-import dataclasses
 import shutil
 from typing import Any
 
@@ -9,13 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small_walks import scenarios, simulation
 
-from jaxbiped import robot, runtime
-from jaxbiped.adapt import Controller, Landing, PayloadReflex
-from jaxbiped.planner import own_gait
-from jaxbiped.sim import Options, Scenario, Simulation, own_options, prepare, segments
+from jaxbiped import runtime
+from jaxbiped.sim import Options, Simulation, segments
 from jaxbiped.sim.compile import backend
-from jaxbiped.sim.compile.machine import Machine
+from jaxbiped.sim.compile.machine import Code, Machine
 from jaxbiped.sim.compile.trace import program_of, shared_leaves, trace
 from jaxbiped.sim.tick import State
 
@@ -23,31 +21,6 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compile
 LANES = 32
 AMPLIFIED = 5.0
 """By how much more than XLA's own walks from nudged masses those in C may differ from XLA's, at the most."""
-
-
-def simulation(name: str, **options: Any) -> Simulation:
-    """elkahlout with the modified payload reflex, surena3 with the repaired landing."""
-    params = robot.load(name)
-    gait = own_gait(params, 4)
-    stage = PayloadReflex.modified(params, gait) if name == "elkahlout" else Landing.repaired()
-    return prepare(params, Controller(gait, stage), dataclasses.replace(own_options(params, gait), **options))
-
-
-def scenarios(n: int, seed: int = 0) -> Scenario:
-    """Loads, pushes, pads, other masses; one robot in eight is pushed over."""
-    random, real = np.random.default_rng(seed), jnp.result_type(float)
-    batch = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (n, *leaf.shape)), Scenario.flat(2))
-    lower = random.uniform([0.3, -0.3], [0.9, 0.1], (n, 2, 2))
-    force = np.where(np.arange(n)[:, None] % 8 == 3, 900.0, random.normal(0.0, 20.0, (n, 3)))
-    values = {
-        "terrain.lower": lower, "terrain.upper": lower + random.uniform(0.05, 0.4, (n, 2, 2)),
-        "terrain.height": random.normal(0.0, 0.01, (n, 2)), "payload.mass": random.uniform(0.0, 15.0, n),
-        "payload.time": random.uniform(0.0, 1.5, n), "push.force": force, "push.start": np.full(n, 0.3),
-        "push.length": np.full(n, 0.1), "errors.mass_scale": random.uniform(0.95, 1.05, (n, 13)),
-    }  # fmt: skip
-
-    parts = lambda s: [getattr(getattr(s, a), b) for a, b in (name.split(".") for name in values)]  # noqa: E731
-    return eqx.tree_at(parts, batch, [jnp.asarray(value, real) for value in values.values()])
 
 
 def moving(states: State, duration: float) -> State:
@@ -84,7 +57,7 @@ def test_a_tick_from_random_moving_states_in_double(name: str, x64: None):
     states = moving(states, float(one.controller.gait.duration))
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
     closed = trace(one, shapes)
-    machine = Machine(program_of(closed, one, shapes), single=False)
+    machine = Machine(Code.of(program_of(closed, one, shapes), single=False))
     leaves = shared_leaves(one)
     got, want = machine.advance(leaves, states, 1), backend._by_xla(closed, leaves)(states)
     assert np.asarray(got.physics.tick != states.physics.tick).mean() > 0.5  # they do move
@@ -123,13 +96,19 @@ def test_walks_are_those_of_xla(in_c: Simulation):
         assert ours <= AMPLIFIED * xlas + 1e-4, jax.tree_util.keystr(path)
 
 
-def test_walks_do_not_depend_on_the_number_of_lanes(in_c: Simulation):
-    batch = scenarios(20)
+def test_walks_do_not_depend_on_the_number_of_lanes_and_threads(
+    in_c: Simulation, monkeypatch: pytest.MonkeyPatch
+):
+    batch = scenarios(40)
     told: list[float] = []
     together, in_turn = in_c.run_many(batch, 1.0), in_c.run_many(batch, 1.0, told.append, lanes=6)
     for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(in_turn), strict=True):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
     assert told[-1] == 1.0
+    monkeypatch.setattr(runtime, "threads", lambda: 3)
+    in_threads = in_c.run_many(batch, 1.0)
+    for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(in_threads), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
     alone = in_c.run(jax.tree.map(lambda leaf: leaf[5], batch), 1.0)
     for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
         np.testing.assert_array_equal(np.asarray(a)[5], np.asarray(b))
@@ -160,7 +139,7 @@ def test_wrong_machine_code_is_refused_by_the_name_of_the_variable(in_c: Simulat
 def test_what_only_xla_serves_is_refused(options: dict[str, Any], what: str):
     with pytest.raises(ValueError, match=f"backend: got 'c', which has no {what}; allowed: xla"):
         Options(backend="c", **options)
-    with pytest.raises(ValueError, match="backend: got 'fortran', allowed: xla, c"):
+    with pytest.raises(ValueError, match="backend: got 'fortran', allowed: auto, xla, c"):
         Options(backend="fortran")
 
 

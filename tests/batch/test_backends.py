@@ -1,0 +1,74 @@
+"""Batches in machine code: chosen where there is much to walk, the same rows for any number of lanes."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import polars as pl
+import pytest
+
+from jaxbiped import batch, planner, robot, sim
+from jaxbiped.adapt import Controller, PayloadReflex
+from jaxbiped.batch import experiment_file, experiment_writer
+from jaxbiped.sim.compile import backend
+from jaxbiped.sim.options import AUTO, XLA, C
+
+needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+ENOUGH = backend.ENOUGH
+
+
+def experiment(
+    n: int, backend: str, duration: float | None = None, lanes: int | None = None, **columns: float
+):
+    params = robot.load("elkahlout")
+    gait = planner.CosineGait.preset(params, 4)
+    controller = Controller(gait, PayloadReflex.modified(params, gait))
+    loads = np.linspace(0.0, 12.0, n)
+    scenarios = pl.DataFrame({"load_kg": loads, "load_time_s": np.full(n, 0.6), **columns})
+    options = dataclasses.replace(sim.own_options(params, gait), backend=backend)
+    return batch.Experiment(
+        params, {"modified": controller}, scenarios, options, duration=duration, batch=lanes
+    )
+
+
+@needs_cc
+def test_c_is_chosen_where_there_is_enough_to_walk_and_it_can(monkeypatch):
+    many = int(ENOUGH / (10.0 / 5e-4))
+    assert experiment(many, AUTO, 10.0).simulation.backend == C
+    assert experiment(many - 1, AUTO, 10.0).simulation.backend == XLA
+    assert experiment(many, AUTO, 10.0, force_noise_N=5.0).simulation.backend == XLA
+    assert experiment(many, XLA, 10.0).simulation.backend == XLA
+    assert experiment(4, C, 10.0).simulation.backend == C
+    monkeypatch.setenv("CC", "/no/such/compiler")
+    assert experiment(many, AUTO, 10.0).simulation.backend == XLA
+
+
+def test_what_only_xla_serves_is_refused_by_name():
+    with pytest.raises(ValueError, match="backend: got 'c', which has no noise; allowed: xla"):
+        experiment(4, C, 1.0, force_noise_N=5.0).simulation  # noqa: B018
+
+
+@needs_cc
+def test_the_backend_is_written_down_and_read_again(tmp_path):
+    one = experiment(4, C, 1.0)
+    assert one.resolved["options"]["backend"] == C
+    again = batch.Experiment.from_resolved(one.resolved, one.table)
+    assert again.resolved == one.resolved
+    older = {**one.resolved, "options": {k: v for k, v in one.resolved["options"].items() if k != "backend"}}
+    assert batch.Experiment.from_resolved(older, one.table).simulation.backend == XLA
+    file = tmp_path / "experiment.toml"
+    experiment_writer.write(file, one)
+    assert experiment_file.read(file).simulation.backend == C
+
+
+@needs_cc
+def test_rows_are_those_of_xla_for_any_number_of_lanes(tmp_path):
+    def walked(name: str, lanes: int | None) -> pl.DataFrame:
+        return batch.run(experiment(18, name, 1.2, lanes), tmp_path / f"{name}-{lanes}", workers=1)
+
+    in_xla, in_c, in_turn = walked(XLA, None), walked(C, None), walked(C, 5)
+    assert in_c.equals(in_turn)
+    assert in_c["status"].to_list() == in_xla["status"].to_list()
+    assert in_xla["trigger_s"].drop_nulls().len() > 5
+    for name in ("end_time_s", "peak_pitch_deg", "zmp_margin_m", "trigger_s", "x_m"):
+        np.testing.assert_allclose(in_c[name], in_xla[name], rtol=0.02, atol=2e-3, err_msg=name)
