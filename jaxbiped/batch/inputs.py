@@ -51,7 +51,7 @@ _DEFAULTS = {
     "load_size_m": (0.2, "edge of its cube"),
     "friction": (0.8, "Coulomb coefficient of the ground"),
     "sinkage_m": (1.2e-4, "how deep the standing robot sinks in: compliance of the ground"),
-    "damping_s_per_m": (250.0, "damping of the ground"),
+    "damping_s_per_m": (300.0, "damping of the ground"),
     "slip_speed_m_per_s": (1e-4, "sliding speed at which friction reaches 71 % of Coulomb's"),
     "trunk_mass_scale": (1.0, "factor on the mass and inertia of the trunk"),
     "leg_mass_scale": (1.0, "factor on the masses and inertias of the legs"),

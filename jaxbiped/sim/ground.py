@@ -1,9 +1,10 @@
 """Compliant ground under the eight sole corners, outside MuJoCo's constraint solver.
 
-The gap of a corner is its height over the ground under it. Normal force by Hunt and Crossley, N = k d max(0, 1 + a d')
+The gap of a corner is its height over the ground under it. Normal force after Hunt and Crossley, N = k d max(0, 1 + s)
 in the depth d = max(0, -gap): continuous at touchdown and at lift-off, which is what makes derivatives through a
-touchdown mean something. It acts along the gradient of the gap, so that edges push back sideways and no energy comes
-from nothing. Friction by Coulomb, regularized: mu N v / sqrt(v^2 + v_s^2).
+touchdown mean something. Theirs has s = a d', which makes a hard blow many times harder than the spring alone; here s
+levels off at DAMPED, s = a d' / sqrt(1 + (a d' / DAMPED)^2). It acts along the gradient of the gap, so that edges push
+back sideways and no energy comes from nothing. Friction by Coulomb, regularized: mu N v / sqrt(v^2 + v_s^2).
 
 Both are stiff: they act with the position and the velocity of the end of the tick, linearized about its start
 (`damping_matrix`).
@@ -20,6 +21,10 @@ from jaxbiped.robot import RobotParams
 from jaxbiped.sim import mjx_adapter, spatial
 from jaxbiped.sim.mjx_adapter import BodyMotion, JointMatrix
 from jaxbiped.sim.scenario import EDGE_WIDTH, Ground, Terrain
+
+
+DAMPED = 3.0
+"""Largest share of the spring's force that damping adds; more than 1, so that what comes off the ground is let go."""
 
 
 class Contact(eqx.Module):
@@ -74,18 +79,21 @@ def one_sided_spring(
     damping: Float[Array, "*m"] | float,
     dt: float,
 ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """Hunt and Crossley's force of a stop, and how much it falls with the rate at the end of the tick.
+    """Force of a stop after Hunt and Crossley, and how much it falls with the rate at the end of the tick.
 
-    Linearly implicit: the force where the present rate leads to in `dt`, and its derivative by the rate then.
+    Implicit: the depth is the one at the end of the tick, and so is the rate that damping goes by, but for what levels
+    it off, which is the rate at the start: with the slope of the leveled law at high rates too little would be damped
+    within a tick, and ticks of 1 and 2 ms would gain energy at edges.
 
     Args:
         gap: before the stop, negative inside [m or rad].
         rate: of the gap.
         stiffness: force per depth.
-        damping: relative force per rate, a in k d (1 + a d').
+        damping: relative force per rate, where that is small [s/m or s/rad].
         dt: [s].
     """
     depth = jnp.maximum(-(gap + dt * rate), 0.0)
+    damping = damping / jnp.sqrt(1.0 + jnp.square(damping * rate / DAMPED))
     pressing = jnp.maximum(1.0 - damping * rate, 0.0)
     by_depth = jnp.where(depth > 0.0, dt * stiffness * pressing, 0.0)
     by_rate = jnp.where(pressing > 0.0, stiffness * depth * damping, 0.0)

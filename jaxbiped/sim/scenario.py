@@ -186,7 +186,7 @@ class Scenario(eqx.Module):
             terrain=Terrain(jnp.zeros((n, 2)), jnp.zeros((n, 2)), jnp.zeros(n)),
             payload=Payload(mass=0.0, time=NEVER, place=(0.2, 0.0, 0.25), size=0.2),
             push=Push(force=(0.0, 0.0, 0.0), start=NEVER, length=0.0),
-            ground=Ground(sinkage=1.2e-4, damping=250.0, friction=0.8, slip_speed=1e-4),
+            ground=Ground(sinkage=1.2e-4, damping=300.0, friction=0.8, slip_speed=1e-4),
             errors=ModelErrors(jnp.ones(len(LINK_NAMES)), jnp.zeros(3), jnp.ones((2, 6))),
             sensors=SensorFaults(
                 delta_z=jnp.full((2, 4), 0.01),

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from jaxbiped import robot
 from jaxbiped.kinematics import GRAVITY
@@ -79,6 +80,27 @@ def test_a_foot_set_down_does_not_bounce(x64, dt):
     assert np.all(np.asarray(place)[:, :, 2] > -2e-3)
     assert np.all(np.asarray(work) <= 1e-12)
     print(f"largest restitution {left.max():.3f}")
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.1, 0.3])
+def test_a_blow_is_the_one_of_the_law(x64, speed):
+    """SciPy integrates m d'' = -k d max(0, 1 + s); four corners of the left foot share a sled."""
+    mass, ahead = 10.0, 1e-4
+    k, a = 4.0 * float(ground.stiffness(BIPED, FLAT.ground)), float(FLAT.ground.damping)
+
+    def force(depth: float, rate: float) -> float:
+        return k * max(depth, 0.0) * max(0.0, 1.0 + 3.0 * a * rate / np.hypot(3.0, a * rate))
+
+    law = solve_ivp(
+        lambda t, y: [y[1], -force(*y) / mass], (0.0, 0.05), [-ahead, speed], max_step=1e-5, rtol=1e-9
+    )
+    wanted = max(force(*y) for y in law.y.T)
+    down, start = jnp.array([0.0, 0.0, -speed]), jnp.array([0.0, 0.0, ahead])
+    _, velocity, _, got = slide(FLAT, mass, start, down, 0.0, 2e-6, 25_000)
+    assert np.asarray(got).max() == pytest.approx(wanted, rel=0.02)
+    assert float(velocity[-1, 2]) == pytest.approx(-law.y[1, -1], abs=0.01 * speed)
+    # at the most as hard as of a spring four times as stiff, however fast; by Hunt and Crossley 5.2 times this spring's
+    assert 1.2 < wanted / (speed * np.sqrt(k * mass)) < 2.0
 
 
 @pytest.mark.parametrize("dt", TICKS)

@@ -179,7 +179,7 @@ def touching(params: robot.RobotParams, depths: Any, speeds: Any, scene: Scenari
     return jax.vmap(lambda body: ground.contact(params, scene.ground, scene.terrain, body))(bodies)
 
 
-def test_normal_force_is_hunt_and_crossleys(x64):
+def test_normal_force_is_the_spring_s_with_damping_that_levels_off(x64):
     params, scene = load64("surena3"), flat()
     sinkage, damping = float(scene.ground.sinkage), float(scene.ground.damping)
     depths = np.array([-1e-2, -1e-9, 0.0, 1e-9, 1e-4, sinkage, 2e-3] + [1e-3] * 4 + [3e-4] * 9)
@@ -187,7 +187,8 @@ def test_normal_force_is_hunt_and_crossleys(x64):
     speeds[7:11, 2] = [-1.0, -0.1, 0.002, 0.3]
     got = np.asarray(touching(params, depths, speeds, scene).force[..., 2])
     k = float(params.total_mass) * 9.81 / (8 * sinkage)
-    wanted = k * np.maximum(depths, 0.0) * np.maximum(0.0, 1.0 - damping * speeds[:, 2])
+    rate = damping * speeds[:, 2]  # at 1 m/s 300 by Hunt and Crossley, here less than 3
+    wanted = k * np.maximum(depths, 0.0) * np.maximum(0.0, 1.0 - 3.0 * rate / np.hypot(3.0, rate))
     np.testing.assert_allclose(got, np.broadcast_to(wanted[:, None, None], got.shape), atol=1e-6)
     assert got[5].sum() == pytest.approx(
         float(params.total_mass) * 9.81
