@@ -22,7 +22,6 @@ from jaxbiped.sim import mjx_adapter, spatial
 from jaxbiped.sim.mjx_adapter import BodyMotion, JointMatrix
 from jaxbiped.sim.scenario import EDGE_WIDTH, Ground, Terrain
 
-
 DAMPED = 3.0
 """Largest share of the spring's force that damping adds; more than 1, so that what comes off the ground is let go."""
 
