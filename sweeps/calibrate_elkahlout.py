@@ -14,7 +14,7 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
 from jaxbiped.report import tables
 from jaxbiped.score import judge, watch_time
+from jaxbiped.sim.options import AUTO, BACKENDS
 
 STEPS = 7
 FRICTIONS = (0.06, 0.075, 0.09, 0.105, 0.12, 0.15, 0.2, 0.3, 0.5, 0.8)
@@ -51,14 +52,14 @@ Columns = dict[str, np.ndarray]
 class Walker:
     """A variant of the reflex: compiled once, for any sole and any floor."""
 
-    def __init__(self, name: str, dt: float) -> None:
+    def __init__(self, name: str, dt: float, backend: str) -> None:
         """Get it ready for physics ticks of dt [s]."""
         robot = jb.robot.load("elkahlout")
         self.name, self.gait = name, jb.planner.CosineGait.preset(robot, STEPS)
         reflex = None if name == "off" else getattr(PayloadReflex, name)(robot, self.gait)
         controller = Controller(self.gait, reflex)
         self.simulation = jb.sim.prepare(
-            robot, controller, replace(jb.sim.own_options(robot, self.gait), dt=dt)
+            robot, controller, replace(jb.sim.own_options(robot, self.gait), dt=dt, backend=backend)
         )
         self.duration = watch_time(controller, 1)
 
@@ -146,9 +147,11 @@ def as_printed(walks: Columns, number: int) -> tuple[int, int]:
     return sum(a == b for a, b in known), len(known)
 
 
-def family(frictions: Sequence[float], heels: Sequence[float], half_width: float, dt: float) -> pl.DataFrame:
+def family(
+    frictions: Sequence[float], heels: Sequence[float], half_width: float, walker: Callable[[str], Walker]
+) -> pl.DataFrame:
     """One row for each friction and heel."""
-    off, variants = Walker("off", dt), [Walker(name, dt) for name in TABLE]
+    off, variants = walker("off"), [walker(name) for name in TABLE]
     rows = []
     for friction, heel in itertools.product(frictions, heels):
         toes = toes_as_printed(off, half_width, friction, heel)
@@ -206,10 +209,12 @@ def main() -> None:
     parser.add_argument("--heels", type=float, nargs="+", default=[-0.052], help="[m]")
     parser.add_argument("--half-width", type=float, default=0.065, help="of a sole [m]")
     parser.add_argument("--dt", type=float, default=1e-3, help="physics tick [s]; the tables have 5e-4")
+    parser.add_argument("--backend", choices=BACKENDS, default=AUTO, help="c is some ten times faster")
     parser.add_argument("--out", type=Path, default=Path("runs/calibration"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    table = family(arguments.frictions, arguments.heels, arguments.half_width, arguments.dt)
+    walker = partial(Walker, dt=arguments.dt, backend=arguments.backend)
+    table = family(arguments.frictions, arguments.heels, arguments.half_width, walker)
     table.write_csv(arguments.out / "family.csv")
     if table.height > 1:
         draw(table).savefig(arguments.out / "family.png", dpi=110)
