@@ -239,6 +239,7 @@ def test_servos_integrate_their_error():
     def knees(ki: float) -> tuple[np.ndarray, np.ndarray]:
         robot = eqx.tree_at(lambda r: r.servo.ki, case.params, ki * np.asarray(case.params.servo.kp))
         trace = prepare(robot, case.controller, case.options).run(FLAT, 0.5).trace
+        assert trace is not None
         asked = jax.tree.map(jnp.asarray, trace.targets.position)
         wanted, _ = jax.vmap(lambda p: joint_angles(case.params, p.sole - p.pelvis))(asked)
         error = wanted - jax.vmap(BIPED.leg_angles)(jnp.asarray(trace.qpos))

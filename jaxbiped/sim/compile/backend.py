@@ -147,7 +147,7 @@ def _by_xla(closed: Any, leaves: list[np.ndarray]) -> Any:
     return runtime.jit_arrays(tick, xla_backend_optimization_level=0)
 
 
-def _key(simulation: PureSimulation, states: State) -> Hashable:
+def _key(simulation: PureSimulation, states: State) -> tuple[Hashable, ...]:
     """All that machine code depends on."""
     arrays, rest = eqx.partition(simulation, eqx.is_array)
     shared = shared_leaves(simulation)

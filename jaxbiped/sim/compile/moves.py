@@ -103,7 +103,7 @@ def windows(shape: tuple[int, ...], starts: np.ndarray, sizes: Sequence[int], dr
     tops = np.array(shape, int) - np.array(sizes, int)
     inside = np.all((starts >= 0) & (starts <= tops), axis=-1)
     starts = np.clip(starts, 0, tops)
-    within = np.stack(np.indices(sizes, int), axis=-1) if len(sizes) else np.zeros((0,), int)
+    within = np.moveaxis(np.indices(sizes, int), 0, -1)
     places = starts[(..., *[None] * len(sizes), slice(None))] + within
     strides = np.array([math.prod(shape[axis + 1 :]) for axis in range(len(shape))], int)
     flat = places @ strides
