@@ -263,9 +263,16 @@ def test_doctor_finds_this_installation_well(capsys):
     assert cli.main(["doctor", "--json"]) == cli.OK
     out, result = said(capsys)
     assert result["ok"] and "all well" in out
-    assert {"device", "extras", "compilation cache", "arithmetic", "self-test"} <= {
+    assert {"device", "extras", "compilation cache", "C compiler", "arithmetic", "self-test"} <= {
         check["name"] for check in result["checks"]
     }
+
+
+def test_doctor_says_what_it_means_to_have_no_c_compiler(capsys, monkeypatch):
+    monkeypatch.setenv("CC", "/no/such/compiler")
+    assert cli.main(["doctor", "--json"]) == cli.OK
+    out, _ = said(capsys)
+    assert "C compiler: none: large batches are compiled by XLA and walk some ten times slower" in out
 
 
 def test_doctor_finds_arithmetic_that_is_wrong(capsys, monkeypatch):

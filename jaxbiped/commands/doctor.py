@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxbiped import kinematics, planner, robot, runtime
+from jaxbiped.sim.compile import build
 
 PACKAGES = ("jaxbiped", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox", "polars", "tyro")
 PLAIN_JIT = jax.jit
@@ -87,6 +88,13 @@ def _cache() -> Finding:
     return "compilation cache", True, str(folder)
 
 
+def _compiler() -> Finding:
+    found = build.compiler()
+    if found is None:
+        return "C compiler", True, "none: large batches are compiled by XLA and walk some ten times slower"
+    return "C compiler", True, f"{found}, for large batches"
+
+
 def _memory_maps() -> Finding:
     limit = Path("/proc/sys/vm/max_map_count")
     if not limit.exists():
@@ -149,6 +157,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _device,
     _extras,
     _cache,
+    _compiler,
     _memory_maps,
     _arithmetic,
     _self_test,

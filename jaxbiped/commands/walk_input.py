@@ -25,7 +25,7 @@ from jaxbiped.commands.choices import (
 )
 from jaxbiped.commands.common import InputError, load_robot
 from jaxbiped.planner import Gait
-from jaxbiped.sim.options import XLA
+from jaxbiped.sim.options import AUTO
 from jaxbiped.sim.scenario import RANGES, require_swing_clears
 
 VARIANTS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
@@ -163,7 +163,7 @@ def of_row(experiment: batch.Experiment, row: Mapping[str, Any], variants: Varia
         variants=variants or Variants(landing=names[0], reflex=names[1]),
         controller=controller,
         scenario=_roomy(scenario),
-        options=replace(options, trace_every=max(1, round(TRACE_DT / options.control_dt)), backend=XLA),
+        options=replace(options, trace_every=max(1, round(TRACE_DT / options.control_dt)), backend=AUTO),
         duration=experiment.durations[row["variant"]],
         experiment=experiment,
     )

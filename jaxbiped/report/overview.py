@@ -133,7 +133,7 @@ def agreement_in_words(variant: str, one: tables.Agreement) -> str:
 
 
 def _what(experiment: Experiment, table: pl.DataFrame, varied: list[str]) -> Section:
-    gait = next(iter(experiment.variants.values())).gait
+    gait, options = next(iter(experiment.variants.values())).gait, experiment.simulation
     pads = [step for step in steps_of(table.columns) if (table[f"step_{step}_height_m"] != 0.0).any()]
     lines = [
         f"{experiment.robot.name}, {float(experiment.robot.total_mass):.1f} kg, {type(gait).__name__}, "
@@ -142,6 +142,7 @@ def _what(experiment: Experiment, table: pl.DataFrame, varied: list[str]) -> Sec
         f"{len(experiment.variants)} variants ({', '.join(experiment.variants)}), all meet the same scenarios.",
         f"Varied: {', '.join(grids.shown(name).label for name in varied) or 'nothing'}."
         + (f" Pads under steps {', '.join(map(str, pads))}." if pads else ""),
+        f"Physics ticks of {1e3 * options.dt:g} ms on the {options.contact} ground, by the {options.backend} backend.",
     ]
     return Section("What was walked", tuple(lines))
 
