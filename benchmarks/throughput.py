@@ -1,9 +1,9 @@
 """Physics steps per second of a walk: `python benchmarks/throughput.py [--quick] [--json] [--robot NAME]`.
 
-The closed loop (planner, inverse kinematics, servos, ground, sensors, statistics) mapped over scenarios, against
-the same robot and gait in C MuJoCo with native contacts (`mujoco.rollout`, controls computed beforehand), in a
-Python loop of `mj_step` with the controller in NumPy, and in plain `mjx.step` with native contacts. All in one
-run, each process on one core with one thread, 0.5 ms per step, JAX in float32.
+The closed loop (planner, inverse kinematics, servos, ground, sensors, statistics) of many scenarios, compiled by XLA
+and as C, against the same robot and gait in C MuJoCo with native contacts (`mujoco.rollout`, controls computed
+beforehand), in a Python loop of `mj_step` with the controller in NumPy, and in plain `mjx.step` with native contacts.
+All in one run, each process on one core with one thread, 0.5 ms per step, JAX in float32.
 
 On a machine with other work, `--clock cpu` counts the time this process had the core instead of the time that passed;
 the rows with several processes always go by the time that passed.
@@ -39,10 +39,12 @@ from mujoco import mjx  # noqa: E402
 
 from jaxbiped import planner, robot, runtime, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
+from jaxbiped.sim import segments  # noqa: E402
+from jaxbiped.sim.compile import backend, build, trace  # noqa: E402
 
 DT = 5e-4
 N_STEPS = 8
-EXPECTED = {"c_mujoco_per_core": 1.5, "python_loop": 20.0, "mjx_contacts_per_core": 5.0}
+EXPECTED = {"c_mujoco_per_core": 15.0, "python_loop": 150.0, "mjx_contacts_per_core": 5.0}
 """What the closed loop is expected to be worth, times each peer."""
 
 
@@ -50,6 +52,7 @@ class Size(NamedTuple):
     """How much is run."""
 
     batches: tuple[int, ...]
+    c_batches: tuple[int, ...]
     mjx_batches: tuple[int, ...]
     ticks: int
     """Of a closed-loop roll-out."""
@@ -58,6 +61,7 @@ class Size(NamedTuple):
     mjx_ticks: int
     repeats: int
     worker_batch: int
+    c_worker_batch: int
     clock: str = "wall"
 
     def median_seconds(self, call: Callable[[], Any], least: float = 0.02) -> float:
@@ -74,8 +78,8 @@ class Size(NamedTuple):
         return statistics.median(measured)
 
 
-FULL = Size((1, 16, 64, 256, 1024), (1, 16, 64, 256), 400, 6.0, 20, 5, 64)
-QUICK = Size((16,), (4,), 40, 0.5, 4, 3, 16)
+FULL = Size((1, 16, 64, 256, 1024), (16, 64, 256, 1024, 4096), (1, 16, 64, 256), 400, 6.0, 20, 5, 64, 256)
+QUICK = Size((16,), (32,), (4,), 40, 0.5, 4, 3, 16, 32)
 
 
 def main() -> None:
@@ -101,43 +105,59 @@ def main() -> None:
 def measure(name: str, size: Size, quick: bool) -> dict[str, Any]:
     """All numbers, by name."""
     ours = {str(n): note(f"closed loop, batch {n}", closed_loop(name, n, size)) for n in size.batches}
-    peak = peak_memory()
+    peak, in_c = peak_memory(), {}
+    if build.compiler() is not None:
+        in_c = {str(n): note(f"in C, batch {n}", closed_loop_in_c(name, n, size)) for n in size.c_batches}
     c_steps = note("C MuJoCo", c_mujoco(name, size))
     loop = note("Python loop", python_loop(name, size))
     plain = {str(n): note(f"mjx.step, batch {n}", mjx_contacts(name, n, size)) for n in size.mjx_batches}
     with tempfile.TemporaryDirectory() as cache:
-        compiling = note("compile", compile_times(name, size.worker_batch, quick, cache))
-        parallel = {
-            kind: {
-                str(n): workers(kind, name, n, size.worker_batch, quick, cache)
-                for n in (1, 2)
-                if n <= len(CORES)
-            }
-            for kind in ("closed_loop", "c_mujoco")
+        batch = {"closed_loop": size.worker_batch, "c_mujoco": 1}
+        if in_c:
+            batch["closed_loop_in_c"] = size.c_worker_batch
+        compiling = {
+            kind: note(kind, compile_times(kind, name, batch[of], quick, cache))
+            for kind, of in (("compile", "closed_loop"), ("compile_in_c", "closed_loop_in_c"))
+            if of in batch
         }
-    best = max(ours, key=lambda n: ours[n]["steps_per_s"])
+        parallel = {
+            kind: {str(n): workers(kind, name, n, lanes, quick, cache) for n in (1, 2) if n <= len(CORES)}
+            for kind, lanes in batch.items()
+        }
+    by_backend = {"xla": best_of(ours)} | ({"c": best_of(in_c)} if in_c else {})
+    best = max(by_backend, key=lambda backend: by_backend[backend]["steps_per_s"])
     result = {
         "robot": name,
         "dt": DT,
         "clock": size.clock,
         "control_every": control_every(name),
-        "closed_loop_per_core": ours[best]["steps_per_s"],
-        "best_batch": int(best),
+        "closed_loop_per_core": by_backend[best]["steps_per_s"],
+        "robot_seconds_per_core": by_backend[best]["steps_per_s"] * DT,
+        "backend": best,
+        "by_backend": by_backend,
         "c_mujoco_per_core": c_steps["steps_per_s"],
         "python_loop": loop["steps_per_s"],
         "mjx_contacts_per_core": max(one["steps_per_s"] for one in plain.values()),
         "closed_loop": ours,
+        "closed_loop_in_c": in_c,
         "c_mujoco": c_steps,
         "numpy_loop": loop,
         "mjx_contacts": plain,
         "workers": parallel,
-        "compile": compiling,
+        "compile": compiling["compile"],
+        "compile_in_c": compiling.get("compile_in_c"),
         "bytes_per_scenario": bytes_per_scenario(ours),
         "peak_memory_bytes": peak,
         "core_gflops": core_gflops(size),
     }
     result["ratios"] = {peer: result["closed_loop_per_core"] / result[peer] for peer in EXPECTED}
     return result
+
+
+def best_of(rates: dict[str, dict[str, float]]) -> dict[str, float]:
+    """The fastest batch, and its rate."""
+    best = max(rates, key=lambda n: rates[n]["steps_per_s"])
+    return {"batch": int(best), "steps_per_s": rates[best]["steps_per_s"]}
 
 
 def note(what: str, result: Any) -> Any:
@@ -212,6 +232,24 @@ def closed_loop(name: str, n: int, size: Size) -> dict[str, float]:
         "bytes": memory.temp_size_in_bytes + memory.argument_size_in_bytes + memory.output_size_in_bytes,
         "walks_upright": float(np.mean(np.asarray(walks.status) == 0)),
     }
+
+
+def machine_code(name: str, n: int, ticks: int) -> tuple[Callable[[], Any], float]:
+    """The closed loop of n scenarios in C: a call that walks so many ticks, and how long it took to be ready [s]."""
+    one = setup(name).simulation
+    states = jax.tree.map(np.asarray, segments._begin(one, scenarios(n), jnp.asarray(10**6, jnp.int32)))
+    began = time.perf_counter()
+    machine, leaves = backend.machine_of(one, states), trace.shared_leaves(one)
+    seconds = time.perf_counter() - began
+    return lambda: machine.advance(leaves, states, one.ticks(ticks * DT)), seconds
+
+
+def closed_loop_in_c(name: str, n: int, size: Size) -> dict[str, float]:
+    """Rate of the closed loop in C, its states packed and unpacked."""
+    call, compile_s = machine_code(name, n, size.ticks)
+    upright = float(np.mean(call().record.statistics.status == 0))
+    rate = n * size.ticks / size.median_seconds(call)
+    return {"steps_per_s": rate, "compile_s": compile_s, "walks_upright": upright}
 
 
 def bytes_per_scenario(ours: dict[str, dict[str, float]]) -> float | None:
@@ -454,11 +492,11 @@ def workers(kind: str, name: str, count: int, batch: int, quick: bool, cache: st
     return sum(rates)
 
 
-def compile_times(name: str, batch: int, quick: bool, cache: str) -> dict[str, float]:
+def compile_times(kind: str, name: str, batch: int, quick: bool, cache: str) -> dict[str, float]:
     """Seconds from the call to the compiled closed loop, tracing included; `cache` is empty at first, then full."""
     times = []
     for _ in range(2):
-        child = spawn("compile", name, batch, quick, CORES[-1] if CORES else None, cache)
+        child = spawn(kind, name, batch, quick, CORES[-1] if CORES else None, cache)
         times.append(float(read_line(child)))
         child.wait()
     return {"batch": batch, "cold_s": times[0], "from_cache_s": times[1]}
@@ -472,7 +510,11 @@ def spawn(
     env = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR")}
     if core is not None:
         env["THROUGHPUT_CORE"] = str(core)
-    env |= {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    env |= {
+        "XDG_CACHE_HOME": cache,
+        "JAX_COMPILATION_CACHE_DIR": cache,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
     return subprocess.Popen(
         [*command, *(["--quick"] if quick else [])],
         stdin=subprocess.PIPE,
@@ -502,6 +544,11 @@ def work_closed_loop(name: str, size: Size, batch: int) -> None:
     work(call, batch * size.ticks, size.repeats)
 
 
+def work_closed_loop_in_c(name: str, size: Size, batch: int) -> None:
+    """Worker: the closed loop in C when told to go."""
+    work(machine_code(name, batch, size.ticks)[0], batch * size.ticks, size.repeats)
+
+
 def work_c_mujoco(name: str, size: Size, batch: int) -> None:
     """Worker: C MuJoCo when told to go."""
     _, call, ticks = c_rollout(name, size)
@@ -521,7 +568,18 @@ def work_compile(name: str, size: Size, batch: int) -> None:
     say(compiled_loop(name, batch, size.ticks)[2])
 
 
-WORKERS = {"closed_loop": work_closed_loop, "c_mujoco": work_c_mujoco, "compile": work_compile}
+def work_compile_in_c(name: str, size: Size, batch: int) -> None:
+    """Worker: only trace, print and compile, or find all that."""
+    say(machine_code(name, batch, size.ticks)[1])
+
+
+WORKERS = {
+    "closed_loop": work_closed_loop,
+    "closed_loop_in_c": work_closed_loop_in_c,
+    "c_mujoco": work_c_mujoco,
+    "compile": work_compile,
+    "compile_in_c": work_compile_in_c,
+}
 
 
 def in_words(result: dict[str, Any]) -> str:
@@ -536,6 +594,10 @@ def in_words(result: dict[str, Any]) -> str:
     rows = [
         [f"closed loop, batch {n}", f"{one['steps_per_s']:,.0f}", "", "", f"{one['compile_s']:.1f}"]
         for n, one in result["closed_loop"].items()
+    ]
+    rows += [
+        [f"closed loop in C, batch {n}", f"{one['steps_per_s']:,.0f}", "", "", f"{one['compile_s']:.1f}"]
+        for n, one in result["closed_loop_in_c"].items()
     ]
     rows += [
         [name, f"{result[key]:,.0f}", f"{result['ratios'][key]:.2f}", f"{EXPECTED[key]:g}", ""]
@@ -561,7 +623,8 @@ def in_words(result: dict[str, Any]) -> str:
         f"{result['robot']}, {1e3 * DT:g} ms, controller every {result['control_every']} steps, float32, "
         f"{result['clock']} time"
     )
-    compiling, memory = result["compile"], result["bytes_per_scenario"]
+    memory = result["bytes_per_scenario"]
+    compiling = {"XLA": result["compile"], "C": result["compile_in_c"]}
     return "\n".join(
         [
             f"{head['cpu']}, one core per process, {head['system']}, Python {head['python']}",
@@ -569,8 +632,13 @@ def in_words(result: dict[str, Any]) -> str:
             f"commit {head['commit']}",
             "",
             common.table(title, columns, rows),
-            f"compile at batch {compiling['batch']}: {compiling['cold_s']:.1f} s, from the persistent cache "
-            f"{compiling['from_cache_s']:.1f} s",
+            *(
+                f"{name} is ready in {one['cold_s']:.1f} s at batch {one['batch']}, "
+                f"from the caches in {one['from_cache_s']:.1f} s"
+                for name, one in compiling.items()
+                if one is not None
+            ),
+            f"robot-seconds a second and core: {result['robot_seconds_per_core']:,.0f}",
             f"memory: {result['peak_memory_bytes'] / 2**20:.0f} MiB peak"
             + (f", {memory / 1024:.1f} KiB per scenario" if memory else ""),
             f"float32 matrix product on this core: {result['core_gflops']:.0f} GFLOP/s",

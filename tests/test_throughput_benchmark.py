@@ -1,6 +1,7 @@
 """The throughput benchmark runs, and its last line is what a machine reads."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -29,3 +30,8 @@ def test_throughput_runs_and_ends_with_one_json_object(robot):
     assert result["numpy_loop"]["upright"] == result["c_mujoco"]["upright"] == 1.0
     assert all(one["walks_upright"] == 1.0 for one in result["closed_loop"].values())
     assert result["compile"]["from_cache_s"] < result["compile"]["cold_s"]
+    if shutil.which("cc") is not None:
+        assert result["by_backend"].keys() == {"xla", "c"} and result["backend"] == "c"
+        assert all(one["walks_upright"] == 1.0 for one in result["closed_loop_in_c"].values())
+        assert result["compile_in_c"]["from_cache_s"] < result["compile_in_c"]["cold_s"]
+    assert result["robot_seconds_per_core"] == pytest.approx(5e-4 * result["closed_loop_per_core"])
