@@ -1,6 +1,7 @@
 """Choices made before a robot walks."""
 
 import equinox as eqx
+import jax
 
 from jaxbiped import checked
 from jaxbiped.checked import Quantity
@@ -39,8 +40,8 @@ class Options(eqx.Module):
     trace_every: int = eqx.field(static=True, default=0)
     """Control ticks between two samples of the trace; 0 for no trace."""
     backend: str = eqx.field(static=True, default=AUTO)
-    """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; no traces, no noise, `compliant`
-    contacts only), or `auto`: C where it can and there is enough to walk; see `compile`."""
+    """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; no traces, `compliant` contacts
+    only), or `auto`: C where it can and there is enough to walk; see `compile`."""
 
     def __check_init__(self) -> None:
         """Refuse options that cannot be simulated."""
@@ -70,7 +71,7 @@ def why_not(options: Options) -> str | None:
     """What of the options only XLA serves; None if C serves all of them."""
     asked = {
         f"contact {options.contact!r}": options.contact != COMPLIANT,
-        "noise": options.noise,
+        "noise in double precision": options.noise and bool(jax.config.values["jax_enable_x64"]),
         "traces": options.trace_every > 0,
     }
     return next((what for what, is_asked in asked.items() if is_asked), None)

@@ -1,6 +1,7 @@
 """The pure tick as machine code: traced, taken apart into scalars, printed as C, compiled and called.
 
-interpret   jaxpr of one lane -> graph, by one rule for every primitive (elementwise, moves, lookups, sums, control)
+interpret   jaxpr of one lane -> graph, by one rule for every primitive (elementwise, moves, lookups, sums, noise,
+            control)
 graph, fold scalars, each computed once, simplified
 program     what is needed, how often it changes, in which order
 evaluate    the program in NumPy

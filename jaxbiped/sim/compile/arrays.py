@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from jaxbiped.sim.compile.graph import Graph, Node, Scalar
+from jaxbiped.sim.compile.graph import Graph, Key, Node, Scalar
 
 Values = np.ndarray
 """Of a number type where all is known, else of objects."""
@@ -28,7 +28,7 @@ def objects(x: Values) -> Values:
 
 def tidy(x: Values, dtype: np.dtype) -> Values:
     """The same as numbers, where every element is one."""
-    if x.dtype != object or any(isinstance(element, Node) for element in x.flat):
+    if x.dtype != object or any(isinstance(element, Node | Key) for element in x.flat):
         return x
     return np.array(list(x.flat), dtype).reshape(x.shape)
 

@@ -8,8 +8,9 @@ from jaxbiped.sim.compile.arrays import Values, each
 from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
 
 SAME = (
-    "add", "sub", "mul", "div", "max", "min", "neg", "abs", "sign", "floor", "ceil", "sqrt", "exp", "log", "tanh",
-    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "rem", "is_finite", "pow", "lt", "le", "gt", "ge", "eq",
+    "add", "sub", "mul", "div", "max", "min", "neg", "abs", "sign", "floor", "ceil", "sqrt", "exp", "log",
+    "log1p", "tanh", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "rem", "is_finite", "pow",
+    "lt", "le", "gt", "ge", "eq",
     "ne", "and", "or", "xor", "not",
 )  # fmt: skip
 """Primitives that are one scalar operation of the same name."""

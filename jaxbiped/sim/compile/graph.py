@@ -36,6 +36,15 @@ class Node:
         return [arg for arg in self.args if isinstance(arg, Node)]
 
 
+class Key:
+    """A key of random numbers: two words."""
+
+    __slots__ = ("first", "second")
+
+    def __init__(self, first: Scalar, second: Scalar):
+        self.first, self.second = first, second
+
+
 class Loop:
     """A loop that stays one: a body that is computed `length` times within a tick."""
 
@@ -118,7 +127,7 @@ COMPUTE: dict[str, Callable[..., Any]] = {
     for name, function in {
         "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum,
         "neg": np.negative, "abs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil, "round": np.round,
-        "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "tanh": np.tanh, "pow": np.power,
+        "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "log1p": np.log1p, "tanh": np.tanh, "pow": np.power,
         "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
         "atan2": np.arctan2, "rem": np.fmod, "is_finite": np.isfinite,
         "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
@@ -129,6 +138,9 @@ COMPUTE: dict[str, Callable[..., Any]] = {
 COMPUTE |= {
     "div": _divide,
     "convert": _convert,
+    "shl": _plain(np.left_shift),
+    "shr": _plain(np.right_shift),
+    "bits": lambda dtype, x: np.asarray(x).view(dtype),
     "and": _logical(np.bitwise_and, np.logical_and),
     "or": _logical(np.bitwise_or, np.logical_or),
     "xor": _logical(np.bitwise_xor, np.logical_xor),

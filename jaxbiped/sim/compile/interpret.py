@@ -1,6 +1,7 @@
 """From a function of one lane, as a jaxpr, to a graph of scalars: one short rule for every primitive.
 
-Rules live in `elementwise`, `moves`, `lookups`, `sums` and `control`; an unknown primitive is an error with its name.
+Rules live in `elementwise`, `moves`, `lookups`, `sums`, `noise` and `control`; an unknown primitive is an error with
+its name.
 """
 
 from collections.abc import Callable
@@ -80,6 +81,8 @@ class Interpreter:
 def out_type(eqn: Any, i: int = 0) -> np.dtype:
     """Number type of an output."""
     dtype = eqn.outvars[i].aval.dtype
+    if jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key):
+        return np.dtype(object)
     if not isinstance(dtype, np.dtype) or dtype == jax.dtypes.float0:
         raise UnknownPrimitiveError(f"{eqn.primitive.name!r} of type {dtype}")
     return dtype
@@ -88,7 +91,7 @@ def out_type(eqn: Any, i: int = 0) -> np.dtype:
 def scalarise(closed: Any, args: list[Values], graph: Graph, rolled: int = ROLLED) -> list[Values]:
     """Outputs of a closed jaxpr on arrays of scalars, as new nodes of a graph."""
     # The rules register themselves when they are imported.
-    from jaxbiped.sim.compile import control, elementwise, fold, lookups, moves, sums
+    from jaxbiped.sim.compile import control, elementwise, fold, lookups, moves, noise, sums
 
-    assert all((control, elementwise, fold, lookups, moves, sums))
+    assert all((control, elementwise, fold, lookups, moves, noise, sums))
     return Interpreter(graph, rolled).closed(closed, args)

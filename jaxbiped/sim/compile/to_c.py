@@ -22,6 +22,8 @@ INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "and": "&", "or": "|", 
          "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}  # fmt: skip
 WHOLE = {"max": "imax", "min": "imin", "sign": "isign", "abs": "iabs"}
 """Functions of words that are not real."""
+UNSIGNED = {"add": "+", "shl": "<<", "shr": ">>"}
+"""Of words without a sign."""
 PREFIX = {"neg": "-", "not": "~"}
 
 
@@ -156,22 +158,31 @@ void walk(long lanes, long first, long last, long ticks, WORD *state, const WORD
         if node.op == TAKE:
             return self._take(node)
         args = [self._operand(arg) for arg in node.args]
-        real = node.args[0].dtype.kind == "f"
+        if node.dtype == np.uint32 and node.op in UNSIGNED:
+            return f"(M)((U)({args[0]}) {UNSIGNED[node.op]} (U)({args[1]}))"
         if node.op in INFIX:
             return f"{args[0]} {INFIX[node.op]} {args[1]}"
         if node.op in PREFIX:
             return f"{PREFIX[node.op]}{args[0]}"
+        return self._called(node, args)
+
+    def _called(self, node: Node, args: list[str]) -> str:
+        """An operation that C has no sign for."""
         if node.op == "select":
             return f"SELECT({', '.join(args)})"
         if node.op == "convert":
             return _converted(node, args[0])
         if node.op == "is_finite":
             return f"is_finite({args[0]})"
-        if not real:
-            if node.op == "rem":
-                return f"{args[0]} % {args[1]}"
-            return f"{WHOLE[node.op]}({', '.join(args)})"
-        return f"v{node.op}({', '.join(args)})"
+        if node.op == "bits":
+            if not self.single:
+                raise UnknownPrimitiveError("32 bits as a number in double precision")
+            return f"(F)({args[0]})"
+        if node.args[0].dtype.kind == "f":
+            return f"v{node.op}({', '.join(args)})"
+        if node.op == "rem":
+            return f"{args[0]} % {args[1]}"
+        return f"{WHOLE[node.op]}({', '.join(args)})"
 
     def _take(self, node: Node) -> str:
         """A look-up."""

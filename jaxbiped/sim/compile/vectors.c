@@ -6,6 +6,7 @@
 #define EACH for (int i = 0; i < W; i++)
 typedef REAL F __attribute__((vector_size(W * sizeof(REAL)), may_alias));
 typedef WORD M __attribute__((vector_size(W * sizeof(WORD)), may_alias));
+typedef unsigned WORD U __attribute__((vector_size(W * sizeof(WORD)), may_alias));
 typedef REAL FU __attribute__((vector_size(W * sizeof(REAL)), aligned(sizeof(REAL)), may_alias));
 
 #define VF(x) ((F){0} + (REAL)(x))
@@ -40,7 +41,8 @@ static inline F take(const REAL *table, M row, int step) { F r; EACH r[i] = tabl
 
 #if SINGLE
 LANEWISE(vsqrt, __builtin_sqrtf) LANEWISE(vfloor, __builtin_floorf) LANEWISE(vceil, __builtin_ceilf)
-LANEWISE(vround, __builtin_rintf) LANEWISE(vexp, expf) LANEWISE(vlog, logf) LANEWISE(vtan, tanf)
+LANEWISE(vround, __builtin_rintf) LANEWISE(vexp, expf) LANEWISE(vlog, logf) LANEWISE(vlog1p, log1pf)
+LANEWISE(vtan, tanf)
 LANEWISE(vtanh, tanhf) LANEWISE2(vpow, powf) LANEWISE2(vrem, fmodf)
 
 /* Sine and cosine after S. Moshier's Cephes; to 2 ulp up to some thousands of turns. */
@@ -100,7 +102,7 @@ static inline F vacos(F x) {
 }
 #else
 LANEWISE(vsqrt, sqrt) LANEWISE(vfloor, floor) LANEWISE(vceil, ceil) LANEWISE(vround, rint) LANEWISE(vexp, exp)
-LANEWISE(vlog, log) LANEWISE(vtan, tan) LANEWISE(vtanh, tanh) LANEWISE2(vpow, pow) LANEWISE2(vrem, fmod)
+LANEWISE(vlog, log) LANEWISE(vlog1p, log1p) LANEWISE(vtan, tan) LANEWISE(vtanh, tanh) LANEWISE2(vpow, pow) LANEWISE2(vrem, fmod)
 LANEWISE(vsin, sin) LANEWISE(vcos, cos) LANEWISE2(vatan2, atan2) LANEWISE(vatan, atan) LANEWISE(vasin, asin)
 LANEWISE(vacos, acos)
 #endif

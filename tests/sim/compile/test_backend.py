@@ -11,7 +11,7 @@ import pytest
 from small_walks import scenarios, simulation
 
 from jaxbiped import runtime
-from jaxbiped.sim import Options, Simulation, segments
+from jaxbiped.sim import Options, Scenario, Simulation, segments
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.machine import Code, Machine
 from jaxbiped.sim.compile.trace import program_of, shared_leaves, trace
@@ -75,9 +75,37 @@ def in_c() -> Simulation:
     return simulation("elkahlout", backend="c")
 
 
+def noisy(batch: Scenario) -> Scenario:
+    """With noise on forces and angles, of a seed of its own in every one."""
+    seeds = jnp.arange(len(batch.ground.sinkage), dtype=jnp.int32)
+    return eqx.tree_at(
+        lambda s: (s.sensors.force_noise, s.sensors.angle_noise, s.sensors.seed),
+        batch,
+        (jnp.full(seeds.shape, 5.0), jnp.full(seeds.shape, 1e-3), seeds),
+    )
+
+
+def test_noise_is_that_of_xla():
+    """Until a touchdown amplifies rounding."""
+    batch = noisy(scenarios(20))
+    walks = [simulation("elkahlout", backend=name, noise=True).run_many(batch, 0.4) for name in ("c", "xla")]
+    for (path, a), b in zip(
+        jax.tree_util.tree_leaves_with_path(walks[0].statistics),
+        jax.tree.leaves(walks[1].statistics),
+        strict=True,
+    ):
+        size = max(1.0, np.abs(np.asarray(b)[np.isfinite(b)]).max(initial=0.0))
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=2e-3 * size, err_msg=jax.tree_util.keystr(path))
+    zmp = np.asarray(walks[0].statistics.zmp_margin)
+    calm = np.asarray(
+        simulation("elkahlout", backend="xla").run_many(scenarios(20), 0.4).statistics.zmp_margin
+    )
+    assert np.all(zmp < calm) and np.median(calm - zmp) > 1e-3
+
+
 def test_walks_are_those_of_xla(in_c: Simulation):
     """As close as XLA's own walks are if all masses are changed by their last bit: touchdowns amplify rounding."""
-    batch, in_xla = scenarios(20), simulation("elkahlout")
+    batch, in_xla = scenarios(20), simulation("elkahlout", backend="xla")
     nudged = eqx.tree_at(
         lambda s: s.errors.mass_scale, batch, batch.errors.mass_scale * np.float32(1.0 + 1.2e-7)
     )
@@ -134,13 +162,20 @@ def test_wrong_machine_code_is_refused_by_the_name_of_the_variable(in_c: Simulat
 
 @pytest.mark.parametrize(
     ("options", "what"),
-    [({"noise": True}, "noise"), ({"trace_every": 5}, "traces"), ({"contact": "mjx"}, "contact 'mjx'")],
+    [({"trace_every": 5}, "traces"), ({"contact": "mjx"}, "contact 'mjx'")],
 )
 def test_what_only_xla_serves_is_refused(options: dict[str, Any], what: str):
     with pytest.raises(ValueError, match=f"backend: got 'c', which has no {what}; allowed: xla"):
         Options(backend="c", **options)
     with pytest.raises(ValueError, match="backend: got 'fortran', allowed: auto, xla, c"):
         Options(backend="fortran")
+
+
+def test_noise_in_double_is_refused(x64: None):
+    with pytest.raises(
+        ValueError, match="backend: got 'c', which has no noise in double precision; allowed: xla"
+    ):
+        Options(backend="c", noise=True)
 
 
 def test_machine_code_is_kept_beside_the_kernels():

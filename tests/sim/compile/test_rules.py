@@ -74,6 +74,7 @@ CASES: dict[str, tuple[Callable[..., Any], tuple[np.ndarray, ...]]] = {
     "scan": (lambda x: lax.scan(lambda c, r: (c + r, c * r), jnp.zeros(4), x), (X,)),
     "scan_reverse": (lambda x: lax.scan(lambda c, r: (c + r, c * r), jnp.zeros(4), x, reverse=True), (X,)),
     "fori_loop": (lambda x: lax.fori_loop(0, 4, lambda i, y: y * 0.5 + i, x), (X,)),
+    "log1p": (lambda x: jnp.log1p(jnp.abs(x)), (X,)),
     "jvp": (lambda x, y: jax.jvp(lambda z: jnp.sin(z) / (2.0 + z**2), (x,), (y,)), (X, Y)),
 }  # fmt: skip
 
@@ -115,5 +116,27 @@ def test_rows_of_a_loop_other_than_the_last_are_refused(x64: None):
 def test_an_unknown_primitive_is_an_error_with_its_name(x64: None):
     with pytest.raises(UnknownPrimitiveError, match="'erf'"):
         program_of(lax.erf, (X,))
-    with pytest.raises(UnknownPrimitiveError, match="'random_"):
-        program_of(lambda x: x + jax.random.normal(jax.random.key(0), x.shape), (X,))
+    with pytest.raises(UnknownPrimitiveError, match="random numbers of 64 bits"):
+        program_of(lambda x: x + jax.random.normal(jax.random.key(jnp.int32(0)), x.shape), (X,))
+    with pytest.raises(UnknownPrimitiveError, match="not threefry's"):
+        program_of(lambda x: x + jax.random.uniform(jax.random.key(0, impl="rbg"), x.shape), (X,))
+
+
+def drawn(seed: Any, tick: Any) -> Any:
+    """As sensors draw their noise."""
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), tick), 3)
+    return (
+        jax.random.bits(keys[0], (4,)),
+        jax.random.normal(keys[1], (20, 3)),
+        jax.random.normal(keys[2], (2,)),
+    )
+
+
+def test_random_numbers_are_those_of_jax():
+    seed, tick = RANDOM.integers(-(2**31), 2**31, (2, 50)).astype(np.int32)
+    bits, *numbers = jax.vmap(drawn)(seed, tick)
+    got_bits, *got = run_graph(drawn, (seed, tick))
+    np.testing.assert_array_equal(got_bits, bits)
+    for a, b in zip(got, numbers, strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-6, atol=1e-7)
+    assert np.abs(got[0]).max() > 3.0 and abs(got[0].mean()) < 0.1

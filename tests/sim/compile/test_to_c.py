@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jax import lax
 from scalars import run_c
-from test_rules import AT, CASES, X
+from test_rules import AT, CASES, X, drawn
 
 from jaxbiped.sim.compile import build
 
@@ -55,6 +55,13 @@ def test_functions_in_single_precision_are_as_good_as_libm():
         )  # beside a zero, the argument's rounding
         ulp = np.spacing(np.maximum(np.abs(b), least).astype(np.float32))
         assert np.max(np.abs(a - b) / ulp) < 3.0, name
+
+
+def test_random_numbers_are_those_of_jax():
+    seed, tick = RANDOM.integers(-(2**31), 2**31, (2, 50)).astype(np.int32)
+    want = jax.vmap(lambda *given: drawn(*given)[1:])(seed, tick)
+    for a, b in zip(run_c(lambda *given: drawn(*given)[1:], (seed, tick), single=True), want, strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-6, atol=1e-7)
 
 
 def test_special_numbers():
