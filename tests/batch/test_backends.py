@@ -36,6 +36,9 @@ def test_c_is_chosen_where_there_is_enough_to_walk_and_it_can(monkeypatch):
     many = int(ENOUGH / (10.0 / 5e-4))
     assert experiment(many, AUTO, 10.0).simulation.backend == C
     assert experiment(many - 1, AUTO, 10.0).simulation.backend == XLA
+    assert (
+        experiment(many, AUTO, 10.0).lanes == many and experiment(many, XLA, 10.0).lanes < many
+    )  # no more than 128
     assert experiment(many, AUTO, 10.0, force_noise_N=5.0).simulation.backend == C
     assert experiment(many, AUTO, 10.0, contact="mjx").simulation.backend == XLA
     assert experiment(many, XLA, 10.0).simulation.backend == XLA
