@@ -186,7 +186,9 @@ def test_ground_forces(x64):
     assert_equal(found)
 
     normal, gap, rate = value["force"][..., 2], value["gap"], value["gap_rate"]
-    pressed = (gap < 0.0) & (at["damping"][:, None, None] * rate < 1.0)
+    by_rate = at["damping"][:, None, None] * rate
+    bend = 1.0 + (by_rate / ground.DAMPED) ** 2
+    pressed = (gap < 0.0) & (by_rate / np.sqrt(bend) < 1.0)
     for some in (pressed, gap > 0.0, (gap < 0.0) & ~pressed):
         assert some.sum() > 5
     by_terrain, by_damping, by_friction = (
@@ -196,8 +198,8 @@ def test_ground_forces(x64):
     stiffness = (normal / -gap)[:, 0]
     np.testing.assert_allclose(by_terrain[:, 0, :, 2][left], stiffness[left], rtol=1e-9)
     np.testing.assert_array_equal(by_terrain[:, 1], 0.0)
-    bare = normal / (1.0 - at["damping"][:, None, None] * rate)
-    np.testing.assert_allclose(by_damping[..., 2][pressed], (-rate * bare)[pressed], rtol=1e-9)
+    bare = normal / (1.0 - by_rate / np.sqrt(bend))
+    np.testing.assert_allclose(by_damping[..., 2][pressed], (-rate * bare / bend**1.5)[pressed], rtol=1e-9)
     assert np.all(np.abs(by_friction[..., :2][pressed]).max(axis=-1) > 1.0)
     for one in found.values():
         np.testing.assert_array_equal(one.forward["force"][~pressed], 0.0)
@@ -253,7 +255,7 @@ def test_mass_that_lands_on_the_ground(x64):
     assert smooth_there.mean() > 0.8
     largest = np.abs(slope).max()
     np.testing.assert_allclose(slope[smooth_there], central[smooth_there], rtol=1e-4, atol=1e-4 * largest)
-    assert np.mean(np.abs(slope) > 0.01) > 0.9
+    assert np.mean(np.abs(slope) > 1e-4) > 0.9  # the slope is of something
     print(f"worst difference {np.max(np.abs(slope - central)[smooth_there]) / largest:.2g}")
 
 
