@@ -24,7 +24,11 @@ def experiment(
     gait = planner.CosineGait.preset(params, 4)
     controller = Controller(gait, PayloadReflex.modified(params, gait))
     loads = np.linspace(0.0, 12.0, n)
-    scenarios = pl.DataFrame({"load_kg": loads, "load_time_s": np.full(n, 0.6), **columns})
+    level = {
+        "step_1_height_m": 0.0,
+        "step_2_height_m": 0.0,
+    }  # room for two, as in tests/sim/compile: one program
+    scenarios = pl.DataFrame({"load_kg": loads, "load_time_s": np.full(n, 0.6), **level, **columns})
     options = dataclasses.replace(sim.own_options(params, gait), backend=backend, contact=contact)
     return batch.Experiment(
         params, {"modified": controller}, scenarios, options, duration=duration, batch=lanes
