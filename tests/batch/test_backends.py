@@ -18,8 +18,14 @@ ENOUGH = backend.ENOUGH
 
 
 def experiment(
-    n: int, backend: str, duration: float | None = None, lanes: int | None = None, **columns: float
-):
+    n: int,
+    backend: str,
+    duration: float,
+    lanes: int | None = None,
+    contact: str = "compliant",
+    **columns: float,
+) -> batch.Experiment:
+    """Loads with the modified reflex."""
     params = robot.load("elkahlout")
     gait = planner.CosineGait.preset(params, 4)
     controller = Controller(gait, PayloadReflex.modified(params, gait))

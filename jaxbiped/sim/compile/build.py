@@ -54,13 +54,19 @@ def load(text: str) -> ctypes.CDLL:
 
 def compiler() -> str | None:
     """The system's C compiler, the one that the environment names in CC or `cc`; None if there is none."""
-    return shutil.which(os.environ.get("CC", "cc"))
+    return shutil.which(_wanted())
+
+
+def _wanted() -> str:
+    return os.environ.get("CC", "cc")
 
 
 def _compiler() -> str:
     found = compiler()
     if found is None:
-        raise NoCompilerError("backend: 'c' needs a C compiler, and there is no cc here; allowed: xla")
+        raise NoCompilerError(
+            f"backend: 'c' needs a C compiler, and there is no {_wanted()!r} here; allowed: xla"
+        )
     return found
 
 

@@ -95,21 +95,21 @@ def noisy(batch: Scenario) -> Scenario:
 
 
 def test_noise_is_that_of_xla():
-    """Until a touchdown amplifies rounding."""
+    """Until touchdowns amplify rounding; it moves the instants of some reflexes, and so the ZMP."""
     batch = noisy(scenarios(20))
-    walks = [simulation("elkahlout", backend=name, noise=True).run_many(batch, 0.4) for name in ("c", "xla")]
-    for (path, a), b in zip(
-        jax.tree_util.tree_leaves_with_path(walks[0].statistics),
-        jax.tree.leaves(walks[1].statistics),
-        strict=True,
-    ):
+    ours, theirs = (
+        simulation("elkahlout", backend=name, noise=True).run_many(batch, 0.4).statistics
+        for name in ("c", "xla")
+    )
+    for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
         size = max(1.0, np.abs(np.asarray(b)[np.isfinite(b)]).max(initial=0.0))
-        np.testing.assert_allclose(a, b, rtol=0.0, atol=2e-3 * size, err_msg=jax.tree_util.keystr(path))
-    zmp = np.asarray(walks[0].statistics.zmp_margin)
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=5e-3 * size, err_msg=jax.tree_util.keystr(path))
     calm = np.asarray(
         simulation("elkahlout", backend="xla").run_many(scenarios(20), 0.4).statistics.zmp_margin
     )
-    assert np.all(zmp < calm) and np.median(calm - zmp) > 1e-3
+    moved = np.abs(np.asarray(theirs.zmp_margin) - calm) > 1e-3
+    assert moved.sum() >= 2
+    np.testing.assert_allclose(ours.zmp_margin, theirs.zmp_margin, atol=2e-4)
 
 
 def test_walks_are_those_of_xla(in_c: Simulation):
@@ -274,7 +274,7 @@ def test_the_name_covers_all_that_a_program_depends_on(begun, monkeypatch):
     one, states = begun
     own = name(one, states)
     assert own is not None and own == name(simulation("elkahlout", backend="c"), states)
-    heavier = eqx.tree_at(lambda s: s.robot.links.mass, one, replace_fn=lambda mass: mass * 1.1)
+    heavier = eqx.tree_at(lambda s: s.robot.links.mass, one, replace_fn=lambda mass: mass.at[0].multiply(1.1))
     assert name(heavier, states) == own  # a number that the program is given
     without = eqx.tree_at(lambda s: s.robot.servo.ki, one, replace_fn=lambda ki: ki + 1.0)
     coarse = dataclasses.replace(one.options, dt=1e-3)
