@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
@@ -81,7 +82,7 @@ class Interpreter:
 def out_type(eqn: Any, i: int = 0) -> np.dtype:
     """Number type of an output."""
     dtype = eqn.outvars[i].aval.dtype
-    if jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key):
+    if jnp.issubdtype(dtype, jax.dtypes.prng_key):
         return np.dtype(object)
     if not isinstance(dtype, np.dtype) or dtype == jax.dtypes.float0:
         raise UnknownPrimitiveError(f"{eqn.primitive.name!r} of type {dtype}")
