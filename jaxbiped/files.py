@@ -50,7 +50,7 @@ def set_aside(path: Path, why: str = "damaged") -> Path:
 
 
 def why_not_writable(folder: Path) -> str | None:
-    """Why a folder cannot be made or written into, without trying; None if nothing speaks against it."""
+    """Say why a folder cannot be made or written into, without trying; None if nothing speaks against it."""
     try:
         for place in (folder.absolute(), *folder.absolute().parents):
             try:
@@ -66,7 +66,7 @@ def why_not_writable(folder: Path) -> str | None:
 
 
 def is_file(path: Path) -> bool:
-    """Whether the path is a file; False for a name that no file can have."""
+    """Tell whether the path is a file; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):

@@ -78,7 +78,7 @@ def options() -> dict[str, str]:
 
 
 def _is_tracing() -> bool:
-    """Whether the caller runs inside a function that JAX is tracing, where even a constant is a tracer."""
+    """Tell whether the caller runs inside a function that JAX is tracing, where even a constant is a tracer."""
     return isinstance(jnp.zeros(()), Tracer)
 
 
@@ -97,7 +97,7 @@ def threads() -> int:
 
 
 def cache_folder() -> Path:
-    """Where compiled kernels are kept between runs, as this system has it: on Linux ~/.cache/jaxbiped/jax."""
+    """The folder where compiled kernels are kept between runs, as the system has it: on Linux ~/.cache/jaxbiped/jax."""
     return platformdirs.user_cache_path("jaxbiped", appauthor=False) / "jax"
 
 

@@ -209,7 +209,7 @@ def main() -> None:
     parser.add_argument("--heels", type=float, nargs="+", default=[-0.052], help="[m]")
     parser.add_argument("--half-width", type=float, default=0.065, help="of a sole [m]")
     parser.add_argument("--dt", type=float, default=1e-3, help="physics tick [s]; the tables have 5e-4")
-    parser.add_argument("--backend", choices=BACKENDS, default=AUTO, help="c is some ten times faster")
+    parser.add_argument("--backend", choices=BACKENDS, default=AUTO, help="c is several times faster")
     parser.add_argument("--out", type=Path, default=Path("runs/calibration"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -272,7 +272,7 @@ def test_doctor_says_what_it_means_to_have_no_c_compiler(capsys, monkeypatch):
     monkeypatch.setenv("CC", "/no/such/compiler")
     assert cli.main(["doctor", "--json"]) == cli.OK
     out, _ = said(capsys)
-    assert "C compiler: none: large batches are compiled by XLA and walk some ten times slower" in out
+    assert "C compiler: none: large batches are compiled by XLA and walk more than ten times slower" in out
 
 
 def test_doctor_finds_arithmetic_that_is_wrong(capsys, monkeypatch):

@@ -265,7 +265,7 @@ def _values(where: str, name: str, given: object) -> list[float | int]:
 
 
 def _from_to(where: str, table: Table, quantity: Quantity) -> list[float]:
-    """From one value to another one, both included, in steps; rounded to 12 digits, so that 0.1 x 3 is 0.3."""
+    """Return the values from one to another, both included, in steps; rounded to 12 digits, so that 0.1 x 3 is 0.3."""
     step = Quantity(quantity.unit, 0.0, above=True)
     fields: dict[str, Field] = {"from": quantity, "to": quantity, "step": step}
     read = checked.read_table(where, table, fields, fields)

@@ -140,7 +140,7 @@ def digest(data: object) -> str:
 
 
 def differences(old: object, new: object, path: str = "") -> Iterator[str]:
-    """Where two JSON values differ, as `path: old -> new`."""
+    """Yield where two JSON values differ, as `path: old -> new`."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(k for k in new if k not in old)]:
             where = f"{path}.{key}" if path else key

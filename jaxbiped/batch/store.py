@@ -201,7 +201,7 @@ class Store:
 
     @property
     def ours(self) -> bool:
-        """Whether the folder says, by its description or by its parts, that it holds this experiment."""
+        """Tell whether the folder says, by its description or by its parts, that it holds this experiment."""
         described = self._description() is not None and not self._holds_another()
         return described or self._has_own_parts()
 

@@ -244,7 +244,7 @@ def _greet(scheduler: str) -> None:
 def _walk(
     experiment: Experiment, chunk: Chunk, cache: str | None, expected: dict[str, str], topic: str
 ) -> pl.DataFrame:
-    """On a worker, which says under a topic how far it is."""
+    """Walk a chunk on a worker, which says under a topic how far it is."""
     from distributed import get_worker
 
     different = [name for name, version in code().items() if version != expected[name]]

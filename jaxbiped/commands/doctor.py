@@ -91,7 +91,11 @@ def _cache() -> Finding:
 def _compiler() -> Finding:
     found = build.compiler()
     if found is None:
-        return "C compiler", True, "none: large batches are compiled by XLA and walk some ten times slower"
+        return (
+            "C compiler",
+            True,
+            "none: large batches are compiled by XLA and walk more than ten times slower",
+        )
     return "C compiler", True, f"{found}, for large batches"
 
 

@@ -40,7 +40,7 @@ def run(command: Export) -> dict[str, Any]:
 
 
 def _holds(file: Path, text: str) -> bool:
-    """Whether a file holds this very text already."""
+    """Tell whether a file holds this very text already."""
     try:
         return files.is_file(file) and file.read_bytes() == text.encode()
     except OSError:

@@ -74,7 +74,7 @@ def run(command: Report) -> dict[str, Any]:
 
 
 def is_of(file: Path, key: str) -> bool:
-    """Whether a file says that it is a page of the experiment with this key."""
+    """Tell whether a file says that it is a page of the experiment with this key."""
     try:
         with file.open("rb") as page:
             return key.encode() in page.read(4096)

@@ -61,7 +61,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Variants:
-    """Which version of each stage of adaptation is on."""
+    """Record of which version of each stage of adaptation is on."""
 
     landing: str
     """off, paper, repaired, or the file of a variant."""

@@ -41,7 +41,7 @@ def _load(r: dict[str, Any], load: dict[str, Any]) -> str:
 
 
 def _weight_changes(r: dict[str, Any]) -> bool:
-    """Whether a load is put on, or taken off: not one that is carried all the time."""
+    """Tell whether a load is put on, or taken off: not one that is carried all the time."""
     load = r["payload"]
     return bool(load) and (load["time_s"] > 0.0 or load.get("end_s") is not None)
 

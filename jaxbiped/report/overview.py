@@ -66,7 +66,7 @@ def sections(
 
 
 def clock_start(experiment: Experiment) -> float:
-    """When the clock of loading times starts, since the start of the walk [s]."""
+    """Return when the clock of loading times starts, since the start of the walk [s]."""
     return float(next(iter(experiment.variants.values())).gait.clock_start)
 
 
@@ -76,7 +76,7 @@ def varying(table: pl.DataFrame) -> list[str]:
 
 
 def grid_of_loads(table: pl.DataFrame, varied: list[str]) -> bool:
-    """Whether loads and loading times make a grid: few of both, one of which varies unless nothing does."""
+    """Tell whether loads and loading times make a grid: few of both, one of which varies unless nothing does."""
     both = ("load_kg", "load_time_s")
     if not set(both) <= set(table.columns) or (varied and not set(both) & set(varied)):
         return False
@@ -90,7 +90,7 @@ def failing(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def is_thesis_experiment(experiment: Experiment) -> bool:
-    """Whether the walks are the thesis' own: by the numbers of the robot, whatever its name, and the kind of gait."""
+    """Tell whether the walks are the thesis' own, by the robot's numbers, whatever its name, and the kind of gait."""
     ours, thesis = _numbers(experiment.robot), _numbers_of_the_thesis()
     same = len(ours) == len(thesis) and all(map(np.array_equal, ours, thesis))
     own = robot.defaults(THESIS_ROBOT).gait

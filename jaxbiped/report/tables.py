@@ -185,12 +185,12 @@ def _printed_rows(printed: pl.DataFrame) -> list[tuple[int, dict[int, bool]]]:
 
 
 def printed_cells(printed: pl.DataFrame) -> dict[Cell, bool]:
-    """Whether each cell of a printed table is a success."""
+    """Tell whether each cell of a printed table is a success."""
     return {(time, load): success for time, row in _printed_rows(printed) for load, success in row.items()}
 
 
 def succeeds(cell: tuple[int, int]) -> bool:
-    """Whether more than half of the walks of a cell succeed."""
+    """Tell whether more than half of the walks of a cell succeed."""
     won, n = cell
     return 2 * won > n
 

@@ -122,7 +122,7 @@ class Layout:
 
     @cached_property
     def _legs_are_all(self) -> bool:
-        """Whether the legs' joints are all there are, in order."""
+        """Tell whether the legs' joints are all there are, in order."""
         return np.array_equal(self.legs.ravel(), np.arange(len(self.hinges)))
 
 

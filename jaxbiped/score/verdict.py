@@ -94,7 +94,7 @@ def judge(walk: sim.Walk, gait: Gait, scenario: sim.Scenario) -> Verdict:
 
 
 def _last_change(load: Payload, end_time: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
-    """When the weight changed suddenly for the last time before the end [s], and whether it did."""
+    """Return when the weight changed suddenly for the last time before the end [s], and whether it did."""
     time = jnp.where(load.end < end_time, load.end, load.time)
     return time, (load.mass > 0.0) & (time > 0.0) & (time < end_time)
 

@@ -68,7 +68,7 @@ class Options(eqx.Module):
 
 
 def why_not(options: Options) -> str | None:
-    """What of the options only XLA serves; None if C serves all of them."""
+    """Name what of the options only XLA serves; None if C serves all of them."""
     asked = {
         f"contact {options.contact!r}": options.contact != COMPLIANT,
         "noise in double precision": options.noise and bool(jax.config.values["jax_enable_x64"]),

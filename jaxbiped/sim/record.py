@@ -41,7 +41,7 @@ class Record(eqx.Module):
 
     @property
     def failed(self) -> Bool[Array, ""]:
-        """Whether the robot has fallen or failed in another way."""
+        """Tell whether the robot has fallen or failed in another way."""
         return self.statistics.status != statistics.OK
 
 

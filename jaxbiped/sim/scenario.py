@@ -100,7 +100,7 @@ class Payload(eqx.Module):
 
     @property
     def is_carried(self) -> Array:
-        """Whether the robot settles with the load: true for a load at time 0."""
+        """Tell whether the robot settles with the load: true for a load at time 0."""
         return self.time <= 0.0
 
 

@@ -6,6 +6,7 @@ next scenario, and when all have finished, no further segment is begun.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -21,7 +22,7 @@ from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
 Told = Callable[[float], None]
 """Function that is told which fraction of something is done."""
-Further = Callable[[PureSimulation, State], tuple[State, Any]]
+Further = Callable[[State], tuple[State, Any]]
 """Function from states to those a segment later, and which walks have stopped."""
 SEGMENT = 0.5
 """Length of a segment [s]."""
@@ -43,7 +44,9 @@ def run(
         return _traced(simulation, scenarios, ticks, told)
     lanes = n if lanes is None else min(lanes, n)
     chosen = backend.chosen(simulation.options, n * ticks * simulation.options.control_every)
-    further = _in_c if chosen == C else _segment
+    further: Further = partial(_segment, simulation)
+    if chosen == C:
+        further = backend.segments(simulation, ticks_of_segment(simulation))
     if lanes == n:
         return _at_once(simulation, scenarios, ticks, told, further)
     return _in_turn(simulation, scenarios, ticks, told, further, lanes)
@@ -56,7 +59,7 @@ def _at_once(
     states, walked = _begin(simulation, scenarios, _count(ticks)), 0
     stopped = ticks <= 0
     while not stopped:
-        states, stops = further(simulation, states)
+        states, stops = further(states)
         walked += ticks_of_segment(simulation)
         stopped = bool(np.all(stops))
         told(1.0 if stopped else walked / ticks)
@@ -72,7 +75,7 @@ def _in_turn(
     walks: list[Walk | None] = [None] * n
     states = _begin(simulation, _take(scenarios, holds), _count(ticks))
     while any(walk is None for walk in walks):
-        states, stops = further(simulation, states)
+        states, stops = further(states)
         done = np.flatnonzero(np.asarray(stops) & (holds < n))
         if not done.size:
             continue
@@ -122,11 +125,6 @@ def _take(scenarios: Scenario, rows: np.ndarray) -> Scenario:
 @runtime.jit
 def _begin(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""]) -> State:
     return jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
-
-
-def _in_c(simulation: PureSimulation, states: State) -> tuple[State, Any]:
-    """A segment later, in machine code, and which walks have stopped."""
-    return backend.segment(simulation, states, ticks_of_segment(simulation))
 
 
 @runtime.jit

@@ -38,7 +38,7 @@ class _Linear:
     """Stiffness of the ground under all corners, implicit."""
 
     def grows(self, dt: float) -> bool:
-        """Whether a small disturbance grows with ticks of dt [s], in the air or on the ground."""
+        """Tell whether a small disturbance grows with ticks of dt [s], in the air or on the ground."""
         return max(self._growth(dt, 0.0), self._growth(dt, 1.0)) > FASTEST_GROWTH
 
     def _growth(self, dt: float, pressed: float) -> float:

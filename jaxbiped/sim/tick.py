@@ -52,7 +52,7 @@ class State(eqx.Module):
 
     @property
     def stopped(self) -> Bool[Array, ""]:
-        """Whether the walk goes no further: the robot has failed, or the time is over."""
+        """Tell whether the walk goes no further: the robot has failed, or the time is over."""
         return self.record.failed | (self.left <= 0)
 
 

@@ -76,7 +76,7 @@ class Gradient:
 
     @property
     def finite(self) -> np.ndarray:
-        """Which scenarios have finite derivatives (n,)."""
+        """Tell which scenarios have finite derivatives (n,)."""
         return np.all(np.isfinite(self.by_scenario), axis=1)
 
 

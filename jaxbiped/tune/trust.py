@@ -110,7 +110,7 @@ class Trust:
         return np.where(wide, TREND, np.where(near & clear, TOOTH, NOISE)).tolist()
 
     def _same(self, twin: Gradient) -> np.ndarray:
-        """Whether forward mode and a twin have the same mean slope by each tunable (k,), or next to none."""
+        """Tell whether forward mode and a twin have the same mean slope by each tunable (k,), or next to none."""
         a, b = self.clipped_gradient * self.width, _clipped(twin, self.width) * self.width
         size = np.maximum(np.abs(a), np.abs(b))
         return np.abs(a - b) <= np.maximum(SAME * size, 1e-3 * np.max(size))
@@ -132,7 +132,7 @@ class Trust:
 
     @property
     def descended(self) -> list[str]:
-        """What each tunable is descended by (k,): FORWARD if trusted, else WIDE for a TOOTH, else MIXED."""
+        """Return what each tunable is descended by (k,): FORWARD if trusted, else WIDE for a TOOTH, else MIXED."""
         teeth = np.array(self.slope) == TOOTH
         return np.where(self.trusted, FORWARD, np.where(teeth, WIDE, MIXED)).tolist()
 

@@ -11,7 +11,7 @@ Values = np.ndarray
 
 
 def is_known(x: Values) -> bool:
-    """Whether every element is a number."""
+    """Tell whether every element is a number."""
     return x.dtype != object
 
 

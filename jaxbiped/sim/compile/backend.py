@@ -4,7 +4,7 @@ The pure tick stays the only source. At the first use of a robot and controller 
 what XLA makes of it; later processes find it on disk (`kept`) and compare it with what XLA made of it then.
 """
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import equinox as eqx
@@ -35,7 +35,7 @@ _machines: dict[Hashable, Machine] = {}
 
 
 def serves(options: Options) -> bool:
-    """Whether walks with such options can be in C here: see `Options.backend`, and there is a compiler."""
+    """Tell whether walks with such options can be in C here: see `Options.backend`, and there is a compiler."""
     return why_not(options) is None and jax.default_backend() == "cpu" and build.compiler() is not None
 
 
@@ -46,15 +46,23 @@ def chosen(options: Options, ticks: int) -> str:
     return C if ticks >= ENOUGH and serves(options) else XLA
 
 
-def segment(simulation: PureSimulation, states: State, ticks: int) -> tuple[State, Bool[np.ndarray, " n"]]:
-    """States with a leading axis so many control ticks later, and which walks have stopped.
+def segments(
+    simulation: PureSimulation, ticks: int
+) -> Callable[[State], tuple[State, Bool[np.ndarray, " n"]]]:
+    """Function from states with a leading axis to those so many control ticks later, and which walks have stopped.
 
-    Raises:
+    Its first call raises:
         ValueError: where there is no C compiler, and where the machine code does not do what XLA's does.
     """
-    machine, leaves = machine_of(simulation, states), shared_leaves(simulation)
-    states = machine.advance(leaves, states, ticks, runtime.threads())
-    return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
+    leaves, made = shared_leaves(simulation), []
+
+    def further(states: State) -> tuple[State, Bool[np.ndarray, " n"]]:
+        if not made:
+            made.append(machine_of(simulation, states))
+        states = made[0].advance(leaves, states, ticks, runtime.threads())
+        return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
+
+    return further
 
 
 def machine_of(simulation: PureSimulation, states: State) -> Machine:
@@ -66,7 +74,7 @@ def machine_of(simulation: PureSimulation, states: State) -> Machine:
 
 
 def _made(simulation: PureSimulation, states: State, parts: Hashable) -> Machine:
-    """From what is kept, compared with the example there; else traced, compiled and compared."""
+    """Make machine code from what is kept, compared with the example there; else trace, compile and compare."""
     name = kept.name_of(simulation, parts)
     found = kept.recall(name)
     if found is not None:
@@ -126,7 +134,7 @@ def worst(ours: State, theirs: State) -> tuple[str, float]:
 
 
 def _odd(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Which lanes differ."""
+    """Tell which lanes differ."""
     a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
     if a.dtype.kind != "f":
         return np.asarray((a != b).any(axis=1))

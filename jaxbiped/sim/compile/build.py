@@ -21,12 +21,12 @@ class NoCompilerError(ValueError):
 
 
 def folder() -> Path:
-    """Where machine code is kept between runs."""
+    """The folder where machine code is kept between runs."""
     return runtime.cache_folder().parent / "c"
 
 
 def processor() -> str:
-    """What machine code is for."""
+    """Describe the processor that machine code is for."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -36,7 +36,7 @@ def processor() -> str:
 
 
 def key(text: str) -> str:
-    """Of machine code: all that it depends on."""
+    """Name machine code by all that it depends on."""
     return hashlib.sha256("\0".join([text, *FLAGS, processor(), _compiler()]).encode()).hexdigest()[:32]
 
 
@@ -71,7 +71,7 @@ def _compiler() -> str:
 
 
 def _compile(text: str, file: Path) -> None:
-    """Into a file that is there whole or not at all."""
+    """Compile into a file that is there whole or not at all."""
     file.parent.mkdir(parents=True, exist_ok=True)
     said = ""
     with tempfile.TemporaryDirectory(dir=file.parent) as scratch:

@@ -6,19 +6,26 @@ import numpy as np
 
 from jaxbiped.sim.compile.arrays import Values, filled, is_known, objects, tidy
 from jaxbiped.sim.compile.graph import AFTER, CARRY, LOST, Loop
-from jaxbiped.sim.compile.interpret import MOST_UNROLLED, Interpreter, UnknownPrimitiveError, out_type, rule
+from jaxbiped.sim.compile.interpret import (
+    MOST_UNROLLED,
+    Equation,
+    Interpreter,
+    UnknownPrimitiveError,
+    out_type,
+    rule,
+)
 from jaxbiped.sim.compile.lookups import choose
 
 
 @rule("jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call", "custom_vjp_call")
-def _call(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _call(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     p = eqn.params
     (inner,) = (p[name] for name in ("jaxpr", "call_jaxpr", "fun_jaxpr") if name in p)
     return of.closed(inner, ins)
 
 
 @rule("cond")
-def _cond(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _cond(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     index, *args = ins
     branches = eqn.params["branches"]
     if is_known(index):
@@ -36,7 +43,7 @@ def _cond(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("scan")
-def _scan(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _scan(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     p = eqn.params
     n, first = p["num_consts"], p["num_consts"] + p["num_carry"]
     consts, carry, rows = ins[:n], ins[n:first], ins[first:]
@@ -59,19 +66,19 @@ def _scan(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     return [*carry, *stacks]
 
 
-def _stack(eqn: Any, i: int, parts: list[Values]) -> Values:
+def _stack(eqn: Equation, i: int, parts: list[Values]) -> Values:
     if not parts:
         return np.zeros(eqn.outvars[i].aval.shape, out_type(eqn, i))
     return tidy(np.stack([objects(part) for part in parts]), out_type(eqn, i))
 
 
-def _is_rolled(of: Interpreter, eqn: Any, rows: list[Values]) -> bool:
-    """Whether a loop stays one: the outermost, long bodies that are given nothing by rows."""
+def _is_rolled(of: Interpreter, eqn: Equation, rows: list[Values]) -> bool:
+    """Tell whether a loop stays one: the outermost, long bodies that are given nothing by rows."""
     inner = eqn.params["jaxpr"].jaxpr
     return not of.inside and not rows and eqn.params["length"] > 1 and len(inner.eqns) >= of.rolled
 
 
-def _rolled(of: Interpreter, eqn: Any, consts: list[Values], carry: list[Values]) -> list[Values]:
+def _rolled(of: Interpreter, eqn: Equation, consts: list[Values], carry: list[Values]) -> list[Values]:
     """The body once, on nodes for what is carried; of what it stacks only the last row is kept."""
     graph, length = of.graph, eqn.params["length"]
     variables = eqn.params["jaxpr"].jaxpr.invars[len(consts) :]
@@ -97,7 +104,7 @@ def _rolled(of: Interpreter, eqn: Any, consts: list[Values], carry: list[Values]
     return [_left(of, eqn, i, after, len(carry)) for i in range(len(eqn.outvars))]
 
 
-def _left(of: Interpreter, eqn: Any, i: int, after: Any, carried: int) -> Values:
+def _left(of: Interpreter, eqn: Equation, i: int, after: Any, carried: int) -> Values:
     """An output of a loop: what it carried, or a stack whose last row alone is known."""
     shape, dtype = eqn.outvars[i].aval.shape, out_type(eqn, i)
     if i < carried:

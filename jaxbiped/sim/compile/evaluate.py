@@ -29,7 +29,7 @@ def evaluate(nodes: list[Node], values: Values, given: Given) -> None:
 
 
 def value_of(scalar: Scalar, values: Values) -> Any:
-    """Of a node, or the number itself."""
+    """Return the value of a node, or the number itself."""
     return values[scalar.number] if isinstance(scalar, Node) else scalar
 
 

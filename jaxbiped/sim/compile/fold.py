@@ -18,12 +18,12 @@ def _of(*names: str) -> Callable[[Fold], Fold]:
 
 
 def _is(x: Scalar, value: int) -> bool:
-    """Whether a scalar is known to be so much."""
+    """Tell whether a scalar is known to be so much."""
     return not isinstance(x, Node) and bool(x == value)
 
 
 def _negated(x: Scalar) -> Scalar | None:
-    """What a scalar is the negative of."""
+    """Return what a scalar is the negative of."""
     return x.args[0] if isinstance(x, Node) and x.op == "neg" and x.dtype.kind == "f" else None
 
 
@@ -161,5 +161,5 @@ def _select_truth(graph: Graph, which: Node, no: Scalar, yes: Scalar) -> Scalar 
 
 
 def _equal(a: Scalar, b: Scalar) -> bool:
-    """Whether two scalars are known and the same, bit by bit."""
+    """Tell whether two scalars are known and the same, bit by bit."""
     return not isinstance(a, Node) and not isinstance(b, Node) and a.tobytes() == b.tobytes()

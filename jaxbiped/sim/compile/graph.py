@@ -27,7 +27,7 @@ class Node:
         self.op, self.args, self.dtype, self.param, self.number = op, args, dtype, param, number
 
     def __repr__(self) -> str:
-        """For error messages."""
+        """Write a node for error messages."""
         return f"%{self.number}:{self.op}"
 
     @property

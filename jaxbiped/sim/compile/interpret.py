@@ -5,7 +5,7 @@ its name.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,17 @@ class UnknownPrimitiveError(NotImplementedError):
     """There is no rule for a primitive, or not for this use of it."""
 
 
-Rule = Callable[["Interpreter", Any, list[Values]], list[Values]]
+@runtime_checkable
+class Equation(Protocol):
+    """What rules read of an equation of a jaxpr."""
+
+    primitive: Any
+    params: dict[str, Any]
+    invars: list[Any]
+    outvars: list[Any]
+
+
+Rule = Callable[["Interpreter", Equation, list[Values]], list[Values]]
 """From an equation and the values of its inputs to those of its outputs."""
 RULES: dict[str, Rule] = {}
 
@@ -72,14 +82,14 @@ class Interpreter:
             return self.run(jaxpr.jaxpr, jaxpr.consts, args)
         return self.run(jaxpr, [], args)
 
-    def _equation(self, eqn: Any, ins: list[Values]) -> list[Values]:
+    def _equation(self, eqn: Equation, ins: list[Values]) -> list[Values]:
         name = eqn.primitive.name
         if name not in RULES:
             raise UnknownPrimitiveError(f"no rule for the primitive {name!r}")
         return RULES[name](self, eqn, ins)
 
 
-def out_type(eqn: Any, i: int = 0) -> np.dtype:
+def out_type(eqn: Equation, i: int = 0) -> np.dtype:
     """Number type of an output."""
     dtype = eqn.outvars[i].aval.dtype
     if jnp.issubdtype(dtype, jax.dtypes.prng_key):

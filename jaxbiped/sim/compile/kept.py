@@ -25,10 +25,12 @@ from jaxbiped.sim.tick import PureSimulation
 OURS = ("jaxbiped", "mujoco", "equinox", "jax", "jaxlib", "builtins", "collections")
 """Packages whose classes the name covers."""
 VERSIONS = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "equinox")
+SETTINGS = ("jax_threefry_partitionable", "jax_numpy_dtype_promotion", "jax_default_matmul_precision")
+"""JAX's, which decide what is traced."""
 
 
 class Example(NamedTuple):
-    """What XLA made of some lanes."""
+    """An example of what XLA made of some lanes."""
 
     leaves: list[np.ndarray]
     """Of the simulation."""
@@ -57,8 +59,9 @@ def name_of(simulation: PureSimulation, parts: Any) -> str | None:
     if not _describe(jax.tree.structure(rest), said) or jax.tree.leaves(rest):
         return None
     versions = [metadata.version(package) for package in VERSIONS]
+    settings = [jax.config.values[name] for name in SETTINGS]
     try:
-        known = pickle.dumps((versions, files.source_hash(), said, parts), protocol=4)
+        known = pickle.dumps((versions, settings, files.source_hash(), said, parts), protocol=4)
     except Exception:  # whatever an object of somebody's makes of being pickled
         return None
     return hashlib.sha256(known).hexdigest()[:32]
@@ -78,7 +81,7 @@ def _describe(tree: Any, said: list[Any]) -> bool:
 
 
 def recall(name: str | None) -> Kept | None:
-    """What was kept under a name."""
+    """Return what was kept under a name."""
     if name is None:
         return None
     try:
@@ -108,7 +111,7 @@ def _file(name: str) -> Path:
 
 
 def _reference(scalar: Scalar) -> tuple[bool, Any]:
-    """Whether it is a node, and its number or itself."""
+    """Replace a node by its number: whether it is one, and the number or the scalar itself."""
     return (True, scalar.number) if isinstance(scalar, Node) else (False, scalar)
 
 

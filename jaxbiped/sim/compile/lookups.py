@@ -7,7 +7,7 @@ from jax import lax
 
 from jaxbiped.sim.compile.arrays import Values, filled, is_known, joined, objects, picked
 from jaxbiped.sim.compile.graph import INPUT, TAKE, Graph, Node, Scalar
-from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
+from jaxbiped.sim.compile.interpret import Equation, Interpreter, UnknownPrimitiveError, out_type, rule
 from jaxbiped.sim.compile.moves import ordered, starts_of, windows
 
 MOST_CHOICES = 24
@@ -26,7 +26,7 @@ def choose(graph: Graph, dtype: np.dtype, index: Scalar, choices: list[Scalar]) 
 
 
 def _tree(graph: Graph, dtype: np.dtype, index: Node, choices: list[Scalar], first: int) -> Scalar:
-    """By halves; `first` is the number of the first choice."""
+    """Choose by halves; `first` is the number of the first choice."""
     if len(choices) == 1:
         return choices[0]
     half = len(choices) // 2
@@ -36,7 +36,7 @@ def _tree(graph: Graph, dtype: np.dtype, index: Node, choices: list[Scalar], fir
 
 
 def _taken(graph: Graph, dtype: np.dtype, index: Node, choices: list[Scalar]) -> Scalar:
-    """From a table: elements of one given array, at equal distances."""
+    """Look up in a table: elements of one given array, at equal distances."""
     places = [choice.param for choice in choices if isinstance(choice, Node) and choice.op == INPUT]
     if len(places) < len(choices) or len({leaf for leaf, _ in places}) > 1:
         raise UnknownPrimitiveError(f"look-up among {len(choices)} computed numbers")
@@ -50,7 +50,7 @@ def _taken(graph: Graph, dtype: np.dtype, index: Node, choices: list[Scalar]) ->
 
 
 @rule("dynamic_slice")
-def _dynamic_slice(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _dynamic_slice(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     x, *starts = ins
     tops = [n - size for n, size in zip(x.shape, eqn.params["slice_sizes"], strict=True)]
     columns = [objects(start).reshape(-1)[0] for start in starts]
@@ -63,7 +63,7 @@ def _dynamic_slice(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]
 
 
 @rule("gather")
-def _gather(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _gather(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     x, indices = ins
     dropped = eqn.params["mode"] == lax.GatherScatterMode.FILL_OR_DROP
     if is_known(indices):
@@ -85,7 +85,7 @@ def _gather(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     return [_looked_up(of, eqn, x, rows, tops, positions)]
 
 
-def _positions(eqn: Any, shape: tuple[int, ...], indices: Values, dropped: bool) -> np.ndarray:
+def _positions(eqn: Equation, shape: tuple[int, ...], indices: Values, dropped: bool) -> np.ndarray:
     """Positions in the operand of a gather's output, by known indices."""
     numbers, sizes = eqn.params["dimension_numbers"], eqn.params["slice_sizes"]
     batch = zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
@@ -96,8 +96,8 @@ def _positions(eqn: Any, shape: tuple[int, ...], indices: Values, dropped: bool)
     return ordered(places, list(map(int, numbers.offset_dims)))
 
 
-def _rows_of(eqn: Any) -> np.ndarray:
-    """For every element of a gather's output the row of indices that it is looked up by."""
+def _rows_of(eqn: Equation) -> np.ndarray:
+    """Number, for every element of a gather's output, the row of indices that it is looked up by."""
     shape = eqn.outvars[0].aval.shape
     batch = [axis for axis in range(len(shape)) if axis not in eqn.params["dimension_numbers"].offset_dims]
     sizes = [shape[axis] for axis in batch]
@@ -109,7 +109,7 @@ def _rows_of(eqn: Any) -> np.ndarray:
 
 
 def _looked_up(
-    of: Interpreter, eqn: Any, x: Values, rows: list[list[Scalar]], tops: list[int], positions: Any
+    of: Interpreter, eqn: Equation, x: Values, rows: list[list[Scalar]], tops: list[int], positions: Any
 ) -> Values:
     """Elements by rows of indices, since a position is a linear function of every index that is within bounds."""
     origin = positions([0] * len(tops)).reshape(-1)

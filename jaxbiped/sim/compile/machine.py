@@ -107,7 +107,7 @@ class Machine:
         return out
 
     def _shared(self, leaves: list[np.ndarray]) -> np.ndarray:
-        """What is the same for all lanes, as words; kept until the simulation has other numbers."""
+        """Return what is the same for all lanes, as words; kept until the simulation has other numbers."""
         last = self._last
         if last is not None and all(
             a is b or np.array_equal(a, b) for a, b in zip(last[0], leaves, strict=True)

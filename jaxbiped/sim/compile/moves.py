@@ -12,13 +12,13 @@ from jax import lax
 
 from jaxbiped.sim.compile.arrays import Values, each, fold_pairs, is_known, joined, objects, picked, tidy
 from jaxbiped.sim.compile.graph import Node, Scalar
-from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
+from jaxbiped.sim.compile.interpret import Equation, Interpreter, UnknownPrimitiveError, out_type, rule
 
 MOST = 64
 """Places among which a scatter may choose."""
 
 
-def bind(eqn: Any, arrays: list[np.ndarray], **params: Any) -> list[np.ndarray]:
+def bind(eqn: Equation, arrays: list[np.ndarray], **params: Any) -> list[np.ndarray]:
     """A primitive on known arrays, run by JAX."""
     with jax.ensure_compile_time_eval():
         out = eqn.primitive.bind(*map(jnp.asarray, arrays), **{**eqn.params, **params})
@@ -34,7 +34,7 @@ def numbered(arrays: list[Values]) -> list[np.ndarray]:
 
 
 @rule("iota")
-def _made(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _made(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     shape, axis = eqn.outvars[0].aval.shape, eqn.params["dimension"]
     along = np.arange(shape[axis], dtype=out_type(eqn)).reshape(
         [-1 if i == axis else 1 for i in range(len(shape))]
@@ -43,12 +43,12 @@ def _made(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("reshape", "squeeze", "expand_dims")
-def _reshape(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _reshape(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     return [ins[0].reshape(eqn.outvars[0].aval.shape)]
 
 
 @rule("broadcast_in_dim")
-def _broadcast(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _broadcast(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     x, shape = ins[0], eqn.outvars[0].aval.shape
     between = [1] * len(shape)
     for axis, size in zip(eqn.params["broadcast_dimensions"], x.shape, strict=True):
@@ -57,12 +57,12 @@ def _broadcast(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("transpose")
-def _transpose(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _transpose(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     return [np.transpose(ins[0], eqn.params["permutation"])]
 
 
 @rule("slice")
-def _slice(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _slice(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     p = eqn.params
     strides = p["strides"] or [1] * len(p["start_indices"])
     parts = zip(p["start_indices"], p["limit_indices"], strides, strict=True)
@@ -70,23 +70,23 @@ def _slice(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("rev")
-def _rev(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _rev(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     return [np.flip(ins[0], eqn.params["dimensions"])]
 
 
 @rule("concatenate")
-def _concatenate(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _concatenate(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     return [np.concatenate(ins if all(map(is_known, ins)) else [*map(objects, ins)], eqn.params["dimension"])]
 
 
 @rule("split")
-def _split(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _split(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     ends, axis = np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"]
     return [tidy(part, out_type(eqn)) for part in np.split(ins[0], ends, axis)]
 
 
 @rule("stack", "tile", "pad")
-def moved(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def moved(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     """Elements of all operands at positions that JAX tells."""
     if all(map(is_known, ins)):
         return bind(eqn, ins)
@@ -113,7 +113,7 @@ def windows(shape: tuple[int, ...], starts: np.ndarray, sizes: Sequence[int], dr
 def starts_of(
     indices: Values, rank: int, axes: Sequence[int], batch: Sequence[tuple[int, int]]
 ) -> np.ndarray:
-    """Where windows begin, (*batch, rank), by indices (*batch, k) along `axes` of the array.
+    """Say where windows begin, (*batch, rank), by indices (*batch, k) along `axes` of the array.
 
     Args:
         indices: known.
@@ -131,7 +131,7 @@ def starts_of(
 
 
 @rule("scatter", "scatter-add", "scatter_add", "scatter-mul", "scatter_mul")
-def _scatter(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _scatter(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     """Updates put at, added to or multiplied with elements; at known places, or at one of a few."""
     x, indices, updates = ins
     dtype, flat = out_type(eqn), objects(updates).reshape(-1)
@@ -146,7 +146,7 @@ def _scatter(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 def _candidates(
-    of: Interpreter, eqn: Any, shape: tuple[int, ...], indices: Values
+    of: Interpreter, eqn: Equation, shape: tuple[int, ...], indices: Values
 ) -> Iterator[tuple[Values, Scalar]]:
     """The indices that there may be, and whether it is these; an index outside of the operand is none of them."""
     if is_known(indices):
@@ -174,9 +174,9 @@ def _candidates(
 
 
 def _places(
-    eqn: Any, shape: tuple[int, ...], indices: Values, updates: tuple[int, ...]
+    eqn: Equation, shape: tuple[int, ...], indices: Values, updates: tuple[int, ...]
 ) -> list[tuple[int, int]]:
-    """Where every update goes, as (update, place); nowhere if its window reaches out of the operand."""
+    """Say where every update goes, as (update, place); nowhere if its window reaches out of the operand."""
     numbers = eqn.params["dimension_numbers"]
     batch = zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True)
     axes = list(map(int, numbers.scatter_dims_to_operand_dims))
@@ -198,7 +198,7 @@ def ordered(windows: np.ndarray, to: Sequence[int]) -> np.ndarray:
 
 
 @rule("dynamic_update_slice")
-def _update(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _update(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     """A part overwritten; where it begins may depend on a node along one axis."""
     x, part, *starts = ins
     dtype, choices = out_type(eqn), [range(n - m + 1) for n, m in zip(x.shape, part.shape, strict=True)]
@@ -218,8 +218,10 @@ def _update(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
     return [tidy(out, dtype)]
 
 
-def _clipped_to(of: Interpreter, eqn: Any, start: Values, axis: int, value: int, choices: range) -> Values:
-    """Whether a start, clipped to the choices there are, is so much."""
+def _clipped_to(
+    of: Interpreter, eqn: Equation, start: Values, axis: int, value: int, choices: range
+) -> Values:
+    """Tell whether a start, clipped to the choices there are, is so much."""
     dtype = eqn.invars[2 + axis].aval.dtype
     name = "eq" if 0 < value < choices[-1] else "le" if value == 0 else "ge"
     if len(choices) == 1:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbiped.sim.compile.arrays import Values, each, filled, objects
 from jaxbiped.sim.compile.graph import Graph, Key, Scalar
-from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
+from jaxbiped.sim.compile.interpret import Equation, Interpreter, UnknownPrimitiveError, out_type, rule
 
 BITS = np.dtype(np.uint32)
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
@@ -40,7 +40,7 @@ def threefry(graph: Graph, key: Key, first: Scalar, second: Scalar) -> Key:
 
 
 def counted(graph: Graph, keys: Values, shape: tuple[int, ...]) -> Iterator[Key]:
-    """Of every key as many scrambled counts as there are places in a shape."""
+    """Yield of every key as many scrambled counts as there are places in a shape."""
     if not jax.config.values["jax_threefry_partitionable"]:
         raise UnknownPrimitiveError("random numbers that are not 'jax_threefry_partitionable'")
     counts = range(int(np.prod(shape, dtype=int)))
@@ -49,7 +49,7 @@ def counted(graph: Graph, keys: Values, shape: tuple[int, ...]) -> Iterator[Key]
 
 
 @rule("random_seed")
-def _seed(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _seed(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     if eqn.params["impl"].name != "threefry2x32" or eqn.invars[0].aval.dtype.itemsize > 4:
         raise UnknownPrimitiveError("a key that is not threefry's, or of a seed of more than 32 bits")
     seeds = objects(each(of.graph, "convert", BITS, ins[0]))
@@ -57,7 +57,7 @@ def _seed(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("random_fold_in")
-def _fold_in(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _fold_in(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     keys, data = (np.broadcast_to(objects(x), eqn.outvars[0].aval.shape) for x in ins)
     pairs = zip(keys.flat, data.flat, strict=True)
     new = (threefry(of.graph, key, np.uint32(0), word) for key, word in pairs)
@@ -65,13 +65,13 @@ def _fold_in(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("random_split")
-def _split(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _split(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     new = counted(of.graph, ins[0], eqn.params["shape"])
     return [filled(new, eqn.outvars[0].aval.shape, np.dtype(object))]
 
 
 @rule("random_bits")
-def _bits(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _bits(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     if eqn.params["bit_width"] != 32:
         raise UnknownPrimitiveError(f"random numbers of {eqn.params['bit_width']} bits")
     words = counted(of.graph, ins[0], eqn.params["shape"])
@@ -80,7 +80,7 @@ def _bits(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("bitcast_convert_type")
-def _as_bits(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _as_bits(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     kinds = eqn.invars[0].aval.dtype, out_type(eqn)
     if kinds != (BITS, np.dtype(np.float32)):
         raise UnknownPrimitiveError(f"{eqn.primitive.name!r} from {kinds[0]} to {kinds[1]}")
@@ -88,15 +88,15 @@ def _as_bits(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("shift_left", "shift_right_logical")
-def _shift(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _shift(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     if out_type(eqn) != BITS:
         raise UnknownPrimitiveError(f"{eqn.primitive.name!r} of {out_type(eqn)}")
     return [each(of.graph, "shl" if eqn.primitive.name == "shift_left" else "shr", BITS, *ins)]
 
 
 @rule("erf_inv")
-def _erf_inv(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
-    """In single precision, as XLA computes it."""
+def _erf_inv(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
+    """Compute the inverse error function in single precision, as XLA does."""
     dtype, x = out_type(eqn), ins[0]
     if dtype != np.float32:
         raise UnknownPrimitiveError(f"'erf_inv' of {dtype}")

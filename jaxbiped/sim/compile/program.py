@@ -12,7 +12,7 @@ from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
 
 
 class Level(IntEnum):
-    """How often a node changes."""
+    """Levels of how often a node changes."""
 
     SHARED = 0
     """It is the same for all lanes."""
@@ -87,7 +87,7 @@ class Program:
 
 
 def needs(graph: Graph, node: Node) -> list[Node]:
-    """What a node needs, loops included."""
+    """Return what a node needs, loops included."""
     found: list[Scalar] = list(node.args)
     if node.op in (CARRY, AFTER):
         number, i = node.param
@@ -100,7 +100,7 @@ def needs(graph: Graph, node: Node) -> list[Node]:
 
 
 def _in_order(graph: Graph, outputs: Iterable[Scalar]) -> Iterator[Node]:
-    """What outputs need, each node just before it is needed first, so that few values wait."""
+    """Return what outputs need, each node just before it is needed first, so that few values wait."""
     seen: set[int] = set()
     waiting = deque(output for output in outputs if isinstance(output, Node))
     while waiting:

@@ -1,12 +1,10 @@
 """Primitives that make one element out of many."""
 
-from typing import Any
-
 import numpy as np
 
 from jaxbiped.sim.compile.arrays import Values, each, filled, fold_pairs, is_known, objects, tidy
 from jaxbiped.sim.compile.graph import Node, Scalar
-from jaxbiped.sim.compile.interpret import Interpreter, UnknownPrimitiveError, out_type, rule
+from jaxbiped.sim.compile.interpret import Equation, Interpreter, UnknownPrimitiveError, out_type, rule
 from jaxbiped.sim.compile.moves import bind
 
 REDUCED = {
@@ -23,7 +21,7 @@ RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 
 
 @rule(*REDUCED)
-def _reduce(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _reduce(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     axes, x = eqn.params["axes"], objects(ins[0])
     name, dtype, shape = REDUCED[eqn.primitive.name], out_type(eqn), eqn.outvars[0].aval.shape
     kept = [axis for axis in range(x.ndim) if axis not in axes]
@@ -34,7 +32,7 @@ def _reduce(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("argmax", "argmin")
-def _arg(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _arg(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     """The first of the largest, or of the smallest."""
     (axis,), dtype, kind = eqn.params["axes"], out_type(eqn), eqn.invars[0].aval.dtype
     rows = np.moveaxis(objects(ins[0]), axis, 0)
@@ -48,7 +46,7 @@ def _arg(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule(*RUNNING)
-def _running(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _running(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     axis, dtype = eqn.params["axis"], out_type(eqn)
     x = np.moveaxis(objects(ins[0]), axis, 0)
     x = x[::-1] if eqn.params["reverse"] else x
@@ -60,7 +58,7 @@ def _running(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 @rule("dot_general")
-def _dot(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
+def _dot(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
     (summed, batched), dtype = eqn.params["dimension_numbers"], out_type(eqn)
     if any(var.aval.dtype != dtype for var in eqn.invars):
         raise UnknownPrimitiveError("'dot_general' of other types than its result's")
@@ -70,7 +68,7 @@ def _dot(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
 
 
 def _stacked(x: Values, summed: tuple[int, ...], batched: tuple[int, ...]) -> Values:
-    """With three axes: those that both operands share, its own, and those that are summed over."""
+    """Arrange an operand on three axes: those that both operands share, its own, and those that are summed over."""
     own = [axis for axis in range(x.ndim) if axis not in summed and axis not in batched]
     sizes = [int(np.prod([x.shape[axis] for axis in axes], dtype=int)) for axes in (batched, own, summed)]
     return np.transpose(objects(x), [*batched, *own, *summed]).reshape(sizes)
@@ -84,8 +82,8 @@ def _product(of: Interpreter, dtype: np.dtype, x: Values, y: Values) -> Scalar:
 
 
 @rule("sort")
-def _sort(of: Interpreter, eqn: Any, ins: list[Values]) -> list[Values]:
-    """Of one operand, by exchanging neighbors that are in the wrong order; for a few elements."""
+def _sort(of: Interpreter, eqn: Equation, ins: list[Values]) -> list[Values]:
+    """Sort one operand by exchanging neighbors that are in the wrong order; for a few elements."""
     if all(map(is_known, ins)):
         return bind(eqn, ins)
     if len(ins) != 1:

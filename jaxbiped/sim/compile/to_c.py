@@ -233,7 +233,7 @@ def _number(value: Any) -> str:
 
 
 def _converted(node: Node, text: str) -> str:
-    """From one type to another."""
+    """Convert from one type to another."""
     kinds = (node.args[0].dtype.kind + node.dtype.kind).replace("u", "i")
     texts = {"bf": f"TO_F(-{text})", "if": f"TO_F({text})", "fi": f"to_int({text})", "bi": f"-{text}",
              "ib": f"({text} != 0)", "ii": text, "ff": text}  # fmt: skip

@@ -54,7 +54,7 @@ def shared_leaves(simulation: PureSimulation) -> list[np.ndarray]:
 
 
 def is_part(values: np.ndarray) -> np.ndarray:
-    """Which numbers of a shared array are part of the program."""
+    """Tell which numbers of a shared array are part of the program."""
     if values.dtype.kind != "f":
         return np.ones(values.shape, bool)
     return np.asarray(np.isin(values, (0.0, 1.0, -1.0)) & (values.size < TABLE))

@@ -151,6 +151,28 @@ def test_walks_do_not_depend_on_the_number_of_lanes_and_threads(
         np.testing.assert_array_equal(np.asarray(a)[5], np.asarray(b))
 
 
+def test_other_numbers_walk_by_the_same_machine_code(in_c: Simulation):
+    """A heavier robot, as a calibration or a descent has them one after the other."""
+    batch = scenarios(20)
+    machine = backend.machine_of(in_c, segments._begin(in_c, batch, jnp.asarray(1000, jnp.int32)))
+    own = in_c.run_many(batch, 0.2).statistics
+
+    def heavier(one: Simulation) -> Simulation:
+        return eqx.tree_at(
+            lambda s: (s.robot.links.mass, s.robot.servo.kp),
+            one,
+            (one.robot.links.mass.at[0].multiply(1.1), one.robot.servo.kp * 0.7),
+        )
+
+    other, in_xla = heavier(in_c), heavier(simulation("elkahlout", backend="xla"))
+    assert backend.machine_of(other, segments._begin(other, batch, jnp.asarray(1000, jnp.int32))) is machine
+    got, want = (one.run_many(batch, 0.2).statistics for one in (other, in_xla))
+    np.testing.assert_allclose(got.foot_force, want.foot_force, atol=2.0)
+    assert np.abs(np.asarray(want.foot_force) - np.asarray(own.foot_force)).sum(axis=1).min() > 10.0
+    again = in_c.run_many(batch, 0.2).statistics
+    np.testing.assert_array_equal(np.asarray(again.foot_force), np.asarray(own.foot_force))
+
+
 def test_wrong_machine_code_is_refused_by_the_name_of_the_variable(in_c: Simulation):
     states = segments._begin(in_c, scenarios(4), jnp.asarray(1000, jnp.int32))
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
