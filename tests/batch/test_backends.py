@@ -63,8 +63,10 @@ def test_the_backend_is_written_down_and_read_again(tmp_path):
     assert one.resolved["options"]["backend"] == C
     again = batch.Experiment.from_resolved(one.resolved, one.table)
     assert again.resolved == one.resolved
-    older = {**one.resolved, "options": {k: v for k, v in one.resolved["options"].items() if k != "backend"}}
-    assert batch.Experiment.from_resolved(older, one.table).simulation.backend == XLA
+    large = experiment(200, C, 10.0)  # of a version that had no backends yet
+    options = {name: value for name, value in large.resolved["options"].items() if name != "backend"}
+    older = batch.Experiment.from_resolved({**large.resolved, "options": options}, large.table)
+    assert older.simulation.backend == XLA
     file = tmp_path / "experiment.toml"
     experiment_writer.write(file, one)
     assert experiment_file.read(file).simulation.backend == C
