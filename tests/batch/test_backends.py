@@ -10,6 +10,7 @@ import pytest
 from jaxbiped import batch, planner, robot, sim
 from jaxbiped.adapt import Controller, PayloadReflex
 from jaxbiped.batch import experiment_file, experiment_writer
+from jaxbiped.commands import replay
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.options import AUTO, XLA, C
 
@@ -73,12 +74,18 @@ def test_the_backend_is_written_down_and_read_again(tmp_path):
 
 
 @needs_cc
-def test_rows_are_those_of_xla_for_any_number_of_lanes(tmp_path):
+def test_rows_are_those_of_xla_for_any_number_of_lanes_and_replayed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(replay, "TOLERANCE", dict.fromkeys(replay.TOLERANCE, 0.0))
+
     def walked(name: str, lanes: int | None) -> pl.DataFrame:
         return batch.run(experiment(18, name, 1.2, lanes), tmp_path / f"{name}-{lanes}", workers=1)
 
     in_xla, in_c, in_turn = walked(XLA, None), walked(C, None), walked(C, 5)
     assert in_c.equals(in_turn)
+    replayed = replay.run(replay.Replay(tmp_path / f"{C}-None", 11))
+    assert replayed["agrees"]  # to the bit, though what is drawn is XLA's
+    said = capsys.readouterr().out
+    assert "row 11: agrees with the table" in said
     assert in_c["status"].to_list() == in_xla["status"].to_list()
     assert in_xla["trigger_s"].drop_nulls().len() > 5
     for name in ("end_time_s", "peak_pitch_deg", "trigger_s", "x_m"):  # what touchdowns amplify least

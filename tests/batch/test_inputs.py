@@ -1,5 +1,7 @@
 """Every column of a scenario table reaches the scenario, and what cannot be walked is refused."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import polars as pl
@@ -20,6 +22,7 @@ from jaxbiped.batch import (
     summary,
 )
 from jaxbiped.sim.model import CORNER_NAMES
+from jaxbiped.sim.options import XLA, C
 
 
 @pytest.fixture(scope="module")
@@ -290,12 +293,15 @@ def test_room_for_delay_and_noise_follows_from_the_scenarios(surena):
 
 
 @pytest.mark.parametrize(
-    ("rows", "lanes"), [(1, 1), (8, 8), (9, 9), (17, 17), (128, 128), (129, 72), (288, 96), (4096, 128)]
+    ("backend", "rows", "lanes"),
+    [(XLA, rows, lanes) for rows, lanes in [(1, 1), (8, 8), (9, 9), (17, 17), (128, 128)]]
+    + [(XLA, 129, 72), (XLA, 288, 96), (XLA, 4096, 128), (C, 129, 129), (C, 288, 144), (C, 4096, 256)],
 )
-def test_chunks_cover_every_row_once_and_waste_little(surena, rows, lanes):
+def test_chunks_cover_every_row_once_and_waste_little(surena, backend, rows, lanes):
     params, gait = surena
     table = grid(friction=np.linspace(0.5, 0.9, rows).tolist())
-    one = Experiment(params, {"a": adapt.Controller(gait), "b": adapt.Controller(gait)}, table)
+    options = dataclasses.replace(sim.own_options(params, gait), backend=backend)
+    one = Experiment(params, {"a": adapt.Controller(gait), "b": adapt.Controller(gait)}, table, options)
     assert one.lanes == lanes
     walked = [chunk.first_row + i for chunk in one.chunks for i in range(chunk.start, chunk.stop)]
     assert walked == list(range(2 * rows)) and one.rows == 2 * rows
