@@ -18,7 +18,7 @@ import numpy as np  # noqa: E402
 
 import jaxbiped as jb  # noqa: E402
 from jaxbiped.tune import Problem  # noqa: E402
-from jaxbiped.tune.gradient import walk_slopes, walk_values  # noqa: E402
+from jaxbiped.tune.walks import walk_slopes, walk_values  # noqa: E402
 
 NAMES = (
     "payload.x_left_left_swings",

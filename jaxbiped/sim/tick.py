@@ -84,6 +84,29 @@ class Sample(eqx.Module):
     filtered_corner_force: Float[Array, "*n 2 4"]
     """Vertical force on each sole corner, low-passed by `record.low_passed` [N]."""
 
+    @classmethod
+    def blank(cls, targets: Targets) -> "Sample":
+        """A row of zeros but for its targets."""
+
+        def zeros(*shape: int) -> Array:
+            return jnp.zeros(shape, targets.position.pelvis.dtype)
+
+        feet, corners = zeros(2, 3), zeros(2, 4)
+        return cls(
+            time=zeros(),
+            p_world_trunk=zeros(3),
+            roll_pitch_yaw=zeros(3),
+            p_world_sole=feet,
+            foot_force=feet,
+            corner_force=corners,
+            zmp_world=zeros(2),
+            switch=jnp.zeros((2, 4), bool),
+            torque=zeros(2, 6),
+            qpos=zeros(BIPED.nq),
+            targets=targets,
+            filtered_corner_force=corners,
+        )
+
 
 class Walk(eqx.Module):
     """Result of a roll-out."""
@@ -223,9 +246,14 @@ class PureSimulation(eqx.Module):
                 total = total + options.control_dt * rate(sample, ~state.record.failed)
             return (state, total), sample
 
-        start = (first, None if rate is None else _zero_of(rate, self, first))
+        start = (first, None if rate is None else self.integral_of(rate))
         (state, total), trace = sampled(advance, start, ticks, rows)
         return Walk(state.record.statistics, trace, state.controller, total)
+
+    def integral_of(self, rate: Rate) -> Float[Array, " m"]:
+        """Integral of a rate before the start: zeros."""
+        shape = jax.eval_shape(lambda: rate(Sample.blank(at(self.controller.gait, 0.0)), jnp.ones((), bool)))
+        return jnp.zeros(shape.shape, shape.dtype)
 
     def ticks(self, duration: float) -> int:
         """Number of control ticks of a walk of this duration [s]."""
@@ -255,12 +283,6 @@ def sampled(
     empty = jax.tree.map(lambda leaf: jnp.zeros((rows + 1, *leaf.shape), leaf.dtype), shapes)
     end, kept = jax.lax.fori_loop(0, ticks, tick, (start, empty))
     return end, jax.tree.map(lambda leaf: leaf[:rows], kept)
-
-
-def _zero_of(rate: Rate, simulation: PureSimulation, state: State) -> Float[Array, " m"]:
-    """Value of an integral before the start."""
-    shape = jax.eval_shape(lambda s: rate(simulation.tick(s)[1], jnp.ones((), bool)), state)
-    return jnp.zeros(shape.shape, shape.dtype)
 
 
 def _sense(

@@ -13,17 +13,19 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array
 
 from jaxbiped import batch, runtime, sim
 from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
-from jaxbiped.score import Loss, WalkLoss, judge
-from jaxbiped.sim.options import XLA
+from jaxbiped.score import Loss, WalkLoss
+from jaxbiped.sim.compile import backend
+from jaxbiped.sim.options import AUTO, XLA, C
+from jaxbiped.tune.walks import Setting, walk_slopes, walk_values
+from jaxbiped.tune.walks_in_c import WalksInC
 
 Numbers = np.ndarray | Array | Sequence[float | int]
 """Values as a caller may give them."""
@@ -31,8 +33,6 @@ R = TypeVar("R")
 
 LANES = 64
 """Most walks in one call; as many calls are made at once as XLA has threads."""
-SAMPLES = 8
-"""Samples of the tangents' growth over a walk, at equal distances."""
 WIDE_TICKS = 5
 """Control ticks over which wide central differences let an event move, at least."""
 WIDE_SHARE, WIDEST_SHARE = 2e-3, 1e-2
@@ -126,88 +126,33 @@ class Problem:
         return self.experiment.durations[self.variant]
 
     @cached_property
-    def setting(self) -> "_Setting":
+    def in_c(self) -> WalksInC:
+        """Walks of the setting in machine code."""
+        return WalksInC(self.setting)
+
+    def walks_in_c(self, points: np.ndarray, walks: int) -> bool:
+        """Tell whether walks at such values (n, k) are worth machine code; `walks` counts tangents too.
+
+        As with whole batches the experiment's `backend` decides, by the ticks of all walks together.
+        """
+        wanted, options = self.experiment.options.backend, self.setting.simulation.options
+        if wanted == AUTO:
+            ticks = int(walks * self.duration / options.dt)
+            wanted = backend.chosen(dataclasses.replace(options, backend=AUTO), ticks)
+        return wanted == C and self.in_c.serves(points)
+
+    @cached_property
+    def setting(self) -> Setting:
         """Everything that the compiled functions need."""
         one = jax.tree.map(lambda leaf: leaf[0], self.scenarios(np.zeros(1, int)))
         robot, options = self.experiment.robot, dataclasses.replace(self.experiment.simulation, backend=XLA)
         simulation = sim.prepare(robot, self.controller, options, sim.rectangles_of(one))
         ticks = simulation.ticks(self.duration)
-        return _Setting(simulation, self.loss, self.tunables, jnp.asarray(self.duration), jnp.asarray(ticks))
+        return Setting(simulation, self.loss, self.tunables, jnp.asarray(self.duration), jnp.asarray(ticks))
 
     def scenarios(self, rows: np.ndarray) -> sim.Scenario:
         """Scenarios of these rows, as a leading axis."""
         return batch.scenarios_of(self.experiment.table[rows.tolist()], self.experiment.pads)
-
-
-class _Setting(eqx.Module):
-    """A walk without its scenario and the values of the tunables."""
-
-    simulation: sim.Simulation
-    """Simulation with the variant's own values."""
-    loss: Loss
-    tunables: tuple[Tunable, ...] = eqx.field(static=True)
-    duration: Float[Array, ""]
-    """Simulated time [s]; no constant, so that one program walks for every duration."""
-    ticks: Int[Array, ""]
-    """Control ticks of it."""
-
-    def walk(
-        self, at: Float[Array, " k"], scenario: sim.Scenario
-    ) -> tuple[tuple[Array, Array, Array], dict[str, Array]]:
-        """Walk once: (loss, poses, start of the last reflex), to be differentiated, and what became of the walk."""
-        robot = self.simulation.robot
-        controller = tunables.apply(robot, self.simulation.controller, self.tunables, at)
-
-        def rate(sample: sim.Sample, upright: Array) -> Array:
-            return self.loss.rate(robot, sample, upright)
-
-        simulation = self.simulation.led_by(controller)
-        walk = simulation.walk(scenario, self.ticks, rate, SAMPLES)
-        assert walk.integral is not None and walk.trace is not None
-        loss = self.loss.total(walk.integral, walk, self.duration)
-        success = judge(walk, controller.gait, scenario).success
-        became = {"status": walk.statistics.status, "success": success, "time": walk.trace.time}
-        return (loss, _poses(walk.trace), _trigger(walk)), became
-
-
-def _trigger(walk: sim.Walk) -> Float[Array, ""]:
-    """Start of the last reflex [s]; 0 without one."""
-    assert walk.controller is not None
-    return walk.controller.signals.interrupted_time
-
-
-def _poses(trace: sim.Sample) -> Float[Array, "t 12"]:
-    """Poses of trunk and soles [m, rad]."""
-    soles = trace.p_world_sole.reshape(-1, 6)
-    return jnp.concatenate([trace.p_world_trunk, trace.roll_pitch_yaw, soles], axis=-1)
-
-
-@runtime.jit
-def walk_slopes(
-    setting: _Setting, at: Float[Array, " k"], scenarios: sim.Scenario
-) -> tuple[Array, Array, Array, Array, dict[str, Array]]:
-    """Losses (n,), their derivatives and those of the reflexes' starts (n, k), norms of the tangents (n, t, k).
-
-    Walked once, tangents side by side.
-    """
-
-    def along(unit: Array) -> tuple[Array, Array, Array, Array, dict[str, Array]]:
-        (loss, *_), (slope, poses, trigger), became = jax.jvp(
-            lambda x: jax.vmap(lambda one: setting.walk(x, one))(scenarios), (at,), (unit,), has_aux=True
-        )
-        return loss, slope, trigger, jnp.sqrt(jnp.sum(poses**2, axis=-1)), became
-
-    units = jnp.eye(len(setting.tunables), dtype=at.dtype)
-    return jax.vmap(along, out_axes=(None, 1, 1, 2, None))(units)
-
-
-@runtime.jit
-def walk_values(
-    setting: _Setting, at: Float[Array, "n k"], scenarios: sim.Scenario
-) -> tuple[Array, dict[str, Array]]:
-    """Losses (n,) of scenarios with each its own values of the tunables."""
-    (loss, *_), became = jax.vmap(setting.walk)(at, scenarios)
-    return loss, became
 
 
 def value_and_grad(
@@ -235,9 +180,11 @@ def value_and_grad(
 def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     """Forward mode at a point."""
     began, n, point = time.perf_counter(), len(rows), jnp.asarray(at)
-    walked = _side_by_side(
-        problem, walk_slopes, [(point, problem.scenarios(piece)) for piece in _pieces(rows)]
-    )
+    if problem.walks_in_c(at[None], n * (len(at) + 1)):
+        walked = [problem.in_c.walk_slopes(np.asarray(point), problem.scenarios(rows))]
+    else:
+        calls = [(point, problem.scenarios(piece)) for piece in _pieces(rows)]
+        walked = _side_by_side(problem, walk_slopes, calls)
     losses, slopes, trigger, growth, became = jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *walked)
     made = _gradient(problem, at, losses, slopes, became, began)
     return dataclasses.replace(made, growth_time=became["time"][0], growth=growth, trigger_slope=trigger)
@@ -312,7 +259,12 @@ def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.nda
 
 def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Losses (m, n) of n scenarios at m points each (m, n, k), and what became of the walks at the first ones."""
-    (m, n, _), pieces = at.shape, _pieces(np.arange(len(rows)))
+    m, n, k = at.shape
+    if problem.walks_in_c(at.reshape(m * n, k), m * n):
+        points = np.asarray(jnp.asarray(at.reshape(m * n, k)))
+        values, became = problem.in_c.walk_values(points, problem.scenarios(np.tile(rows, m)))
+        return values.reshape(m, n), {name: of_all[:n] for name, of_all in became.items()}
+    pieces = _pieces(np.arange(n))
     scenarios = [problem.scenarios(rows[piece]) for piece in pieces]
     calls = [
         (jnp.asarray(each[piece]), own) for each in at for piece, own in zip(pieces, scenarios, strict=True)
@@ -325,7 +277,7 @@ def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndar
 
 def _side_by_side(
     problem: Problem,
-    function: Callable[[_Setting, Array, sim.Scenario], R],
+    function: Callable[[Setting, Array, sim.Scenario], R],
     calls: list[tuple[Array, sim.Scenario]],
 ) -> list[R]:
     """Results of a compiled function for many arguments of the same shapes, one thread for each of XLA's.
@@ -338,10 +290,10 @@ def _side_by_side(
         with jax.enable_x64(double):
             return jax.block_until_ready(function(problem.setting, *call))
 
-    kind = (function, calls[0][0].shape, calls[0][1].payload.mass.shape)
-    ahead = 0 if kind in problem.compiled else 1
+    made = (function, calls[0][0].shape, calls[0][1].payload.mass.shape)
+    ahead = 0 if made in problem.compiled else 1
     found = [one(call) for call in calls[:ahead]]
-    problem.compiled.add(kind)
+    problem.compiled.add(made)
     with ThreadPoolExecutor(runtime.threads()) as pool:
         return found + list(pool.map(one, calls[ahead:]))
 

@@ -4,7 +4,7 @@ The pure tick stays the only source. At the first use of a robot and controller 
 what XLA makes of it; later processes find it on disk (`kept`) and compare it with what XLA made of it then.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -17,7 +17,7 @@ from jaxbiped import runtime
 from jaxbiped.sim.compile import build, kept
 from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
 from jaxbiped.sim.compile.machine import Code, Machine
-from jaxbiped.sim.compile.trace import is_part, program_of, shared_leaves, trace
+from jaxbiped.sim.compile.trace import Step, is_part, program_of, shared_leaves, tick, trace
 from jaxbiped.sim.options import AUTO, XLA, C, Options, why_not
 from jaxbiped.sim.tick import ENDLESS, PureSimulation, State
 
@@ -58,112 +58,126 @@ def segments(
 
     def further(states: State) -> tuple[State, Bool[np.ndarray, " n"]]:
         if not made:
-            made.append(machine_of(simulation, states))
+            endless = np.full(np.shape(states.left), ENDLESS, np.int32)
+            made.append(machine_of(simulation, eqx.tree_at(lambda s: s.left, states, endless)))
         states = made[0].advance(leaves, states, ticks, runtime.threads())
         return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
 
     return further
 
 
-def machine_of(simulation: PureSimulation, states: State) -> Machine:
-    """The machine code of a simulation, made, and compared, at its first use."""
-    key = _key(simulation, states)
+def machine_of(
+    shared: Any, states: Any, step: Step = tick, rounding: Mapping[int, float] = ROUNDING
+) -> Machine:
+    """The machine code of a step, made, and compared with XLA's, at its first use.
+
+    Args:
+        shared: by all lanes, as the simulation.
+        states: which are moving some ticks later, to compare from.
+        step: what a lane does in a tick.
+        rounding: by which its variables may differ from XLA's, as `ROUNDING`.
+    """
+    key = _key(shared, states, step)
     if key not in _machines:
-        _machines[key] = _made(simulation, states, key[:2])
+        _machines[key] = _made(shared, states, step, key[:2], rounding)
     return _machines[key]
 
 
-def _made(simulation: PureSimulation, states: State, parts: Hashable) -> Machine:
+def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mapping[int, float]) -> Machine:
     """Make machine code from what is kept, compared with the example there; else trace, compile and compare."""
-    name = kept.name_of(simulation, parts)
+    name = kept.name_of(shared, step, parts)
     found = kept.recall(name)
     if found is not None:
         machine = Machine(found.code)
         tree = jax.tree.structure(states)
         before, after = (jax.tree.unflatten(tree, each) for each in found.example[1:])
-        _require_same(machine.advance(found.example.leaves, before, TICKS), after)
+        _require_same(machine.advance(found.example.leaves, before, TICKS), after, rounding)
         return machine
     states = jax.tree.map(np.asarray, states)
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
-    closed = trace(simulation, one)
+    closed = trace(shared, one, step)
+    reals = {leaf.dtype for leaf in jax.tree.leaves(one) if leaf.dtype.kind == "f"}
     try:
-        code = Code.of(program_of(closed, simulation, one), single=states.time.dtype == np.float32)
+        code = Code.of(program_of(closed, shared, one), single=np.dtype(np.float64) not in reals)
     except UnknownPrimitiveError as error:
         raise ValueError(f"backend: 'c' cannot do this walk: {error}; allowed: {XLA}") from error
     machine = Machine(code)
-    kept.keep(name, kept.Kept(code, compare(machine, closed, simulation, states)))
+    kept.keep(name, kept.Kept(code, compare(machine, closed, shared, states, rounding)))
     return machine
 
 
-def compare(machine: Machine, closed: Any, simulation: PureSimulation, states: State) -> kept.Example:
+def compare(
+    machine: Machine,
+    closed: Any,
+    shared: Any,
+    states: Any,
+    rounding: Mapping[int, float] = ROUNDING,
+) -> kept.Example:
     """Refuse machine code that does not do what XLA's does, from a moving state on; what XLA's does.
 
     Raises:
         ValueError: with the name of the variable that differs most.
     """
-    leaves = shared_leaves(simulation)
-    few = np.arange(COMPARED) % len(states.time)
-    states = jax.tree.map(lambda leaf: leaf[few], states)
-    states = eqx.tree_at(lambda s: s.left, states, np.full(COMPARED, ENDLESS, np.int32))
-    before = after = machine.advance(leaves, states, MOVING)
-    tick = _by_xla(closed, leaves)
+    leaves, each = shared_leaves(shared), jax.tree.leaves(states)
+    few = np.arange(COMPARED) % len(each[0])
+    before = after = machine.advance(leaves, jax.tree.map(lambda leaf: leaf[few], states), MOVING)
+    further = _by_xla(closed, leaves)
     for _ in range(TICKS):
-        after = tick(after)
-    _require_same(machine.advance(leaves, before, TICKS), after)
+        after = further(after)
+    _require_same(machine.advance(leaves, before, TICKS), after, rounding)
     return kept.Example(
         leaves, jax.tree.leaves(before), [np.asarray(leaf) for leaf in jax.tree.leaves(after)]
     )
 
 
-def _require_same(ours: State, theirs: State) -> None:
+def _require_same(ours: Any, theirs: Any, rounding: Mapping[int, float]) -> None:
     """Refuse what differs in more lanes than a threshold explains."""
-    name, odd = worst(ours, theirs)
+    name, odd = worst(ours, theirs, rounding)
     if odd > ODD_LANES:
         raise ValueError(f"backend: 'c' differs from XLA in {name} in {odd:.0%} of lanes; allowed: {XLA}")
 
 
-def worst(ours: State, theirs: State) -> tuple[str, float]:
+def worst(ours: Any, theirs: Any, rounding: Mapping[int, float] = ROUNDING) -> tuple[str, float]:
     """The variable in which most lanes differ by more than rounding, and their share."""
     pairs = zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True)
     shares = [
-        (float(np.mean(_odd(np.asarray(a), np.asarray(b)))), jax.tree_util.keystr(p)[1:])
+        (float(np.mean(_odd(np.asarray(a), np.asarray(b), rounding))), jax.tree_util.keystr(p)[1:])
         for (p, a), b in pairs
     ]
     share, name = max(shares)
     return name, share
 
 
-def _odd(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _odd(a: np.ndarray, b: np.ndarray, rounding: Mapping[int, float]) -> np.ndarray:
     """Tell which lanes differ."""
     a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
     if a.dtype.kind != "f":
         return np.asarray((a != b).any(axis=1))
     finite = np.isfinite(b)
     size = max(1.0, np.abs(b[finite]).max(initial=0.0))
-    close = np.isclose(a, b, rtol=0.0, atol=ROUNDING[a.dtype.itemsize] * size, equal_nan=True)
+    close = np.isclose(a, b, rtol=0.0, atol=rounding[a.dtype.itemsize] * size, equal_nan=True)
     return np.logical_not(np.all(close, axis=1))
 
 
 def _by_xla(closed: Any, leaves: list[np.ndarray]) -> Any:
-    """The traced tick, compiled by XLA for all lanes, as a function of states; compiled fast rather than well."""
+    """The traced step, compiled by XLA for all lanes, as a function of states; compiled fast rather than well."""
 
-    def tick(states: State) -> State:
+    def further(states: Any) -> Any:
         each, tree = jax.tree.flatten(states)
         outs = jax.vmap(lambda *lane: jaxpr_as_fun(closed)(*leaves, *lane))(*each)
         return jax.tree.unflatten(tree, outs[:-1])
 
-    return runtime.jit_arrays(tick, xla_backend_optimization_level=0)
+    return runtime.jit_arrays(further, xla_backend_optimization_level=0)
 
 
-def _key(simulation: PureSimulation, states: State) -> tuple[Hashable, ...]:
+def _key(shared: Any, states: Any, step: Step) -> tuple[Hashable, ...]:
     """All that machine code depends on."""
-    arrays, rest = eqx.partition(simulation, eqx.is_array)
-    shared = shared_leaves(simulation)
-    parts = tuple((leaf.shape, leaf.dtype.char, *_part(leaf)) for leaf in shared)
-    like = tuple((leaf.shape[1:], np.dtype(leaf.dtype).char) for leaf in jax.tree.leaves(states))
+    arrays, rest = eqx.partition(shared, eqx.is_array)
+    parts = tuple((leaf.shape, leaf.dtype.char, *_part(leaf)) for leaf in shared_leaves(shared))
+    like = tuple((np.shape(leaf)[1:], np.dtype(leaf.dtype).char) for leaf in jax.tree.leaves(states))
     fixed, tree = jax.tree.flatten(rest)
     known = tuple(x.tobytes() if isinstance(x, np.ndarray) else x for x in fixed)
-    return parts, like, known, tree, jax.tree.structure(arrays), jax.tree.structure(states)
+    return parts, like, known, step, tree, jax.tree.structure(arrays), jax.tree.structure(states)
 
 
 def _part(leaf: np.ndarray) -> tuple[bytes, bytes]:

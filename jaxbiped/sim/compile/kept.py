@@ -20,7 +20,6 @@ from jaxbiped import files
 from jaxbiped.sim.compile import build
 from jaxbiped.sim.compile.graph import Node, Scalar
 from jaxbiped.sim.compile.machine import Code
-from jaxbiped.sim.tick import PureSimulation
 
 OURS = ("jaxbiped", "mujoco", "equinox", "jax", "jaxlib", "builtins", "collections")
 """Packages whose classes the name covers."""
@@ -33,7 +32,7 @@ class Example(NamedTuple):
     """An example of what XLA made of some lanes."""
 
     leaves: list[np.ndarray]
-    """Of the simulation."""
+    """Of what all lanes share."""
     before: list[np.ndarray]
     """Leaves of the states."""
     after: list[np.ndarray]
@@ -47,16 +46,21 @@ class Kept(NamedTuple):
     example: Example
 
 
-def name_of(simulation: PureSimulation, parts: Any) -> str | None:
-    """Name of a simulation's program; None if not everything it depends on can be named.
+def name_of(shared: Any, step: Any, parts: Any) -> str | None:
+    """Name of a step's program; None if not everything it depends on can be named.
 
     Args:
-        simulation: what walks.
+        shared: by all lanes, as the simulation.
+        step: what a lane does in a tick.
         parts: shapes and numbers that the program is for.
     """
-    _, rest = eqx.partition(simulation, eqx.is_array)
-    said: list[Any] = []
-    if not _describe(jax.tree.structure(rest), said) or jax.tree.leaves(rest):
+    _, rest = eqx.partition(shared, eqx.is_array)
+    said: list[Any] = [(step.__module__, step.__qualname__)]
+    is_ours = step.__module__.split(".")[0] in OURS
+    if not is_ours or not _describe(jax.tree.structure(rest), said):
+        return None
+    said += jax.tree.leaves(rest)
+    if not all(isinstance(leaf, bool | int | float | str) for leaf in jax.tree.leaves(rest)):
         return None
     versions = [metadata.version(package) for package in VERSIONS]
     settings = [jax.config.values[name] for name in SETTINGS]

@@ -1,10 +1,11 @@
-"""The tick of a simulation as a program of scalars."""
+"""A tick as a program of scalars: by what all lanes share (a simulation), and by the state of one lane."""
 
-from typing import Any
+from typing import Any, Protocol
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Array, Bool
 
 from jaxbiped.sim.compile.arrays import Values, filled
 from jaxbiped.sim.compile.graph import Graph, Scalar
@@ -16,27 +17,37 @@ TABLE = 1024
 """Elements from which on an array is a table, in which even zeros are given."""
 
 
-def trace(simulation: PureSimulation, state: State) -> Any:
-    """Jaxpr of a control tick of one lane: of the simulation's arrays and a state, to the state and whether it stops.
+class Step(Protocol):
+    """A function of a module, pure: what one lane does in a tick."""
+
+    def __call__(self, shared: Any, state: Any) -> tuple[Any, Bool[Array, ""]]:
+        """Return the state after a tick, and whether no further tick changes it."""
+        ...
+
+
+def tick(simulation: PureSimulation, state: State) -> tuple[State, Bool[Array, ""]]:
+    """Advance a walk by a control tick: the step of all walks that nothing else is asked of."""
+    new = simulation.tick(state)[0]
+    return new, new.stopped
+
+
+def trace(shared: Any, state: Any, step: Step = tick) -> Any:
+    """Jaxpr of a step: of the arrays of what is shared and a state, to the state and whether it stops.
 
     Args:
-        simulation: what walks.
+        shared: by all lanes, as the simulation.
         state: of one lane, or its shapes.
+        step: what is traced.
     """
-    arrays, rest = eqx.partition(simulation, eqx.is_array)
-
-    def tick(arrays: PureSimulation, state: State) -> tuple[State, Any]:
-        new = eqx.combine(arrays, rest).tick(state)[0]
-        return new, new.stopped
-
-    return jax.make_jaxpr(tick)(arrays, state)
+    arrays, rest = eqx.partition(shared, eqx.is_array)
+    return jax.make_jaxpr(lambda arrays, state: step(eqx.combine(arrays, rest), state))(arrays, state)
 
 
-def program_of(closed: Any, simulation: PureSimulation, state: State, rolled: int = ROLLED) -> Program:
-    """The program of a traced tick. Numbers of the simulation that are 0, 1 or -1 are part of it, others are given."""
-    graph, shared = Graph(), shared_leaves(simulation)
-    first = len(shared)
-    inputs = [_given(graph, leaf, values) for leaf, values in enumerate(shared)]
+def program_of(closed: Any, shared: Any, state: Any, rolled: int = ROLLED) -> Program:
+    """The program of a traced step. Shared numbers that are 0, 1 or -1 are part of it, others are given."""
+    graph, leaves = Graph(), shared_leaves(shared)
+    first = len(leaves)
+    inputs = [_given(graph, leaf, values) for leaf, values in enumerate(leaves)]
     words: list[Word] = []
     for leaf, like in enumerate(jax.tree.leaves(state), first):
         mine = [Word(leaf, i, like.dtype) for i in range(int(np.prod(like.shape, dtype=int)))]
@@ -48,9 +59,9 @@ def program_of(closed: Any, simulation: PureSimulation, state: State, rolled: in
     return Program(graph, words, after, outs[-1].reshape(-1)[0])
 
 
-def shared_leaves(simulation: PureSimulation) -> list[np.ndarray]:
-    """Arrays of a simulation."""
-    return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(simulation, eqx.is_array))]
+def shared_leaves(shared: Any) -> list[np.ndarray]:
+    """Arrays of what is shared."""
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(shared, eqx.is_array))]
 
 
 def is_part(values: np.ndarray) -> np.ndarray:

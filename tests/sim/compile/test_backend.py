@@ -19,7 +19,7 @@ from jaxbiped.sim import Options, Scenario, Simulation, prepare, segments
 from jaxbiped.sim.compile import backend, kept
 from jaxbiped.sim.compile.evaluate import evaluate
 from jaxbiped.sim.compile.machine import Code, Machine
-from jaxbiped.sim.compile.trace import program_of, shared_leaves, trace
+from jaxbiped.sim.compile.trace import program_of, shared_leaves, tick, trace
 from jaxbiped.sim.tick import State
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -233,7 +233,7 @@ def begun() -> tuple[Simulation, State]:
 
 
 def name(one: Simulation, states: State) -> str | None:
-    return kept.name_of(one, backend._key(one, states)[:2])
+    return kept.name_of(one, tick, backend._key(one, states, tick)[:2])
 
 
 def no_tracing(*_: object) -> None:
