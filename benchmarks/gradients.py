@@ -1,11 +1,13 @@
 """What a gradient costs, as a multiple of the walks it is of: `python benchmarks/gradients.py [--json]`.
 
 elkahlout under loads with the modified reflex, one core, float32. Forward mode by 4 and by 8 tunables against the walks
-alone and against central differences (two walks a tangent), all in one run; compiling is left out.
+alone and against central differences (two walks a tangent), by XLA and in C, all in one run; compiling is told apart.
 """
 
 import argparse
 import json
+import time
+from functools import partial
 from typing import Any
 
 import common
@@ -46,23 +48,38 @@ def problem(count: int, lanes: int, duration: float) -> Problem:
     return Problem.of(one, NAMES[:count])
 
 
-def seconds(function: Any, *arguments: Any) -> float:
-    """Median of one call, compiled before."""
-    return common.median_seconds(lambda: jax.block_until_ready(function(*arguments)), REPEATS, 0.05)
+def seconds(function: Any, *arguments: Any) -> tuple[float, float]:
+    """Of the first call, compiling included, and the median of one call thereafter."""
+    began = time.perf_counter()
+    jax.block_until_ready(function(*arguments))
+    first = time.perf_counter() - began
+    return first, common.median_seconds(lambda: jax.block_until_ready(function(*arguments)), REPEATS, 0.05)
 
 
-def measure(count: int, lanes: int, duration: float) -> dict[str, float]:
-    """Times of walks, of central differences and of the gradient by `count` tunables."""
+def measure(count: int, lanes: int, duration: float) -> dict[str, dict[str, float]]:
+    """Times of walks, of central differences and of the gradient by `count` tunables, for each backend."""
     one = problem(count, lanes, duration)
-    at, scenarios, setting = jnp.asarray(one.start), one.scenarios(np.arange(lanes)), one.setting
-    walks = seconds(walk_values, setting, jnp.broadcast_to(at, (lanes, count)), scenarios)
-    slopes = seconds(walk_slopes, setting, at, scenarios)
-    return {
-        "gradient_over_walks": slopes / walks,
-        "cost_per_tangent": (slopes - walks) / (count * walks),
-        "central_differences_over_gradient": (2 * count + 1) * walks / slopes,
-        "ticks_per_s": lanes * duration / one.experiment.simulation.dt / walks,
+    start, scenarios = one.start.astype(np.float32), one.scenarios(np.arange(lanes))
+    points = np.broadcast_to(start, (lanes, count))
+    functions: dict[str, tuple[Any, Any]] = {
+        "c": (one.in_c.walk_values, one.in_c.walk_slopes),
+        "xla": (partial(walk_values, one.setting), partial(walk_slopes, one.setting)),
     }
+    found = {}
+    for backend, (values, slopes) in functions.items():
+        first_walks, walks = seconds(values, jnp.asarray(points), scenarios)
+        first_gradient, gradient = seconds(slopes, jnp.asarray(start), scenarios)
+        found[backend] = {
+            "walks_s": walks,
+            "gradient_s": gradient,
+            "gradient_over_walks": gradient / walks,
+            "cost_per_tangent": (gradient - walks) / (count * walks),
+            "central_differences_over_gradient": (2 * count + 1) * walks / gradient,
+            "ticks_per_s": lanes * duration / one.experiment.simulation.dt / walks,
+            "first_walks_s": first_walks,
+            "first_gradient_s": first_gradient,
+        }
+    return found
 
 
 def main() -> None:
@@ -76,8 +93,13 @@ def main() -> None:
     for count in (4, 8):
         result[str(count)] = measure(count, options.lanes, options.duration)
         print(f"{count} tunables, {options.lanes} walks")
-        for name, value in result[str(count)].items():
-            print(f"  {name:36s}{value:12,.2f}", flush=True)
+        in_c, in_xla = result[str(count)]["c"], result[str(count)]["xla"]
+        print(f"  {'':36s}{'C':>12s}{'XLA':>12s}")
+        for name, value in in_c.items():
+            print(f"  {name:36s}{value:12,.3f}{in_xla[name]:12,.3f}")
+        print(
+            f"  gradient by XLA over that in C: {in_xla['gradient_s'] / in_c['gradient_s']:.1f}", flush=True
+        )
     if options.json:
         print(json.dumps(result))
 

@@ -130,16 +130,14 @@ class Problem:
         """Walks of the setting in machine code."""
         return WalksInC(self.setting)
 
-    def walks_in_c(self, points: np.ndarray, walks: int) -> bool:
-        """Tell whether walks at such values (n, k) are worth machine code; `walks` counts tangents too.
+    def walks_in_c(self, points: np.ndarray) -> bool:
+        """Tell whether walks at such values (n, k) are in machine code: `auto` takes it wherever it can be had.
 
-        As with whole batches the experiment's `backend` decides, by the ticks of all walks together.
+        Unlike a plain walk's, XLA's own program is not made faster than the compiler's, and is far slower.
         """
         wanted, options = self.experiment.options.backend, self.setting.simulation.options
-        if wanted == AUTO:
-            ticks = int(walks * self.duration / options.dt)
-            wanted = backend.chosen(dataclasses.replace(options, backend=AUTO), ticks)
-        return wanted == C and self.in_c.serves(points)
+        can = wanted == C or (wanted == AUTO and backend.serves(options))
+        return can and self.in_c.serves(points)
 
     @cached_property
     def setting(self) -> Setting:
@@ -180,7 +178,7 @@ def value_and_grad(
 def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     """Forward mode at a point."""
     began, n, point = time.perf_counter(), len(rows), jnp.asarray(at)
-    if problem.walks_in_c(at[None], n * (len(at) + 1)):
+    if problem.walks_in_c(np.broadcast_to(at, (n, len(at)))):
         walked = [problem.in_c.walk_slopes(np.asarray(point), problem.scenarios(rows))]
     else:
         calls = [(point, problem.scenarios(piece)) for piece in _pieces(rows)]
@@ -260,7 +258,7 @@ def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.nda
 def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Losses (m, n) of n scenarios at m points each (m, n, k), and what became of the walks at the first ones."""
     m, n, k = at.shape
-    if problem.walks_in_c(at.reshape(m * n, k), m * n):
+    if problem.walks_in_c(at.reshape(m * n, k)):
         points = np.asarray(jnp.asarray(at.reshape(m * n, k)))
         values, became = problem.in_c.walk_values(points, problem.scenarios(np.tile(rows, m)))
         return values.reshape(m, n), {name: of_all[:n] for name, of_all in became.items()}

@@ -5,6 +5,7 @@ So are the tangents: the program of slopes advances a walk and one tangent of it
 the other. Only the table of the plan's torques is the same for all lanes of a call.
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
@@ -124,9 +125,13 @@ class WalksInC:
     """Losses of walks and their slopes, by machine code that is made at its first use."""
 
     def __init__(self, setting: Setting):
-        self.setting, self._lock = setting, Lock()
-        self.own = [np.asarray(leaf) for leaf in _reals(setting.simulation.controller)]
-        self.places: Places = tuple(() for _ in self.own)
+        # Applied, since a number that a variant leaves to be derived is none of its own.
+        own = tunables.values(setting.simulation.controller, setting.tunables)
+        simulation = dataclasses.replace(setting.simulation, controller=_controller(setting, own))
+        self.setting, self._lock = eqx.tree_at(lambda s: s.simulation, setting, simulation), Lock()
+        numbers, slopes = _on_host(_slopes_of_numbers(self.setting, own))
+        self.own = numbers
+        self.places: Places = tuple(_where(np.any(slope != 0.0, axis=0)) for slope in slopes)
         is_gait = any(t.stage == "gait" for t in setting.tunables)
         self.moves_torque = setting.simulation.options.feed_forward and is_gait
 
@@ -139,7 +144,7 @@ class WalksInC:
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Losses (n,) of scenarios with each its own values of the tunables (n, k); see `walks.walk_values`."""
         numbers = _in_blocks(lambda x: _numbers(self.setting, x), at)
-        places = self._placed(numbers, numbers)
+        places = self._placed(numbers)
         tuned, walking = _picked(numbers, places), None
         _, group = (
             np.unique(at, axis=0, return_inverse=True) if self.moves_torque else (at, np.zeros(len(at)))
@@ -159,7 +164,7 @@ class WalksInC:
         """Losses, their slopes and more, see `walks.walk_slopes`; a lane for every scenario and tunable."""
         point, k = jnp.asarray(at), len(at)
         numbers, number_slopes = _on_host(_slopes_of_numbers(self.setting, point))
-        places = self._placed([leaf[None] for leaf in numbers], number_slopes)
+        places = self._placed([leaf[None] for leaf in numbers])
         tuned, tuned_slopes = (
             _picked([leaf[None] for leaf in numbers], places)[0],
             _picked(number_slopes, places),
@@ -217,22 +222,22 @@ class WalksInC:
             simulation = eqx.tree_at(lambda s: s.torque.torque, simulation, torque)
         return Walker(simulation, self.setting.loss, places)
 
-    def _placed(self, numbers: list[np.ndarray], slopes: list[np.ndarray]) -> Places:
-        """Places of all numbers that were ever other than the variant's own, or had a slope.
+    def _placed(self, numbers: list[np.ndarray]) -> Places:
+        """Places of all numbers that have a slope, or were ever other than the variant's own.
 
         Args:
             numbers: leaves of the controller, with a leading axis.
-            slopes: the same, or their slopes with a leading axis.
         """
         with self._lock:
-            places = []
-            for before, own, values, slope in zip(self.places, self.own, numbers, slopes, strict=True):
-                is_moved = np.any(values != own, axis=0)
-                if slope is not values:
-                    is_moved |= np.any(slope != 0.0, axis=0)
-                places.append(tuple(sorted({*before, *np.flatnonzero(is_moved).tolist()})))
-            self.places = tuple(places)
+            moved = [_where(np.any(new != own, axis=0)) for new, own in zip(numbers, self.own, strict=True)]
+            self.places = tuple(
+                tuple(sorted({*old, *new})) for old, new in zip(self.places, moved, strict=True)
+            )
             return self.places
+
+
+def _where(flags: np.ndarray | np.bool_) -> tuple[int, ...]:
+    return tuple(np.flatnonzero(flags).tolist())
 
 
 def _reals(controller: Controller) -> list[Array]:

@@ -1,6 +1,7 @@
 """A tick as a program of scalars: by what all lanes share (a simulation), and by the state of one lane."""
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,12 +18,9 @@ TABLE = 1024
 """Elements from which on an array is a table, in which even zeros are given."""
 
 
-class Step(Protocol):
-    """A function of a module, pure: what one lane does in a tick."""
-
-    def __call__(self, shared: Any, state: Any) -> tuple[Any, Bool[Array, ""]]:
-        """Return the state after a tick, and whether no further tick changes it."""
-        ...
+Step = Callable[[Any, Any], tuple[Any, Bool[Array, ""]]]
+"""A pure function of a module: from what all lanes share and the state of one of them to the state after a tick, and
+whether no further tick changes it."""
 
 
 def tick(simulation: PureSimulation, state: State) -> tuple[State, Bool[Array, ""]]:
