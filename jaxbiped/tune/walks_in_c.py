@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -34,6 +34,8 @@ SLOPE_ROUNDING = {size: 30.0 * rounding for size, rounding in backend.ROUNDING.i
 """Tangents of forces on stiff ground are small differences of large numbers: a digit or two are lost."""
 Places = tuple[tuple[int, ...], ...]
 """For every leaf of a controller's real numbers, which of its elements depend on tunables."""
+OnHost = Any
+"""The same tree with NumPy's arrays in place of JAX's."""
 T = TypeVar("T")
 
 
@@ -165,10 +167,8 @@ class WalksInC:
         point, k = jnp.asarray(at), len(at)
         numbers, number_slopes = _on_host(_slopes_of_numbers(self.setting, point))
         places = self._placed([leaf[None] for leaf in numbers])
-        tuned, tuned_slopes = (
-            _picked([leaf[None] for leaf in numbers], places)[0],
-            _picked(number_slopes, places),
-        )
+        tuned = _picked([leaf[None] for leaf in numbers], places)[0]
+        tuned_slopes = _picked(number_slopes, places)
         torque, torque_slopes = _slopes_of_torque(self.setting, point) if self.moves_torque else (None, None)
         walker = self._walker(places, torque)
         begun, slopes = _in_blocks(
@@ -223,17 +223,22 @@ class WalksInC:
         return Walker(simulation, self.setting.loss, places)
 
     def _placed(self, numbers: list[np.ndarray]) -> Places:
-        """Places of all numbers that have a slope, or were ever other than the variant's own.
+        """Places of all numbers that have a slope, or were ever other than the variant's own, rounding apart.
 
         Args:
             numbers: leaves of the controller, with a leading axis.
         """
         with self._lock:
-            moved = [_where(np.any(new != own, axis=0)) for new, own in zip(numbers, self.own, strict=True)]
+            pairs = zip(numbers, self.own, strict=True)
+            moved = [_where(~np.all(_same(new, own), axis=0)) for new, own in pairs]
             self.places = tuple(
                 tuple(sorted({*old, *new})) for old, new in zip(self.places, moved, strict=True)
             )
             return self.places
+
+
+def _same(new: np.ndarray, own: np.ndarray) -> np.ndarray | np.bool_:
+    return np.isclose(new, own, rtol=16.0 * np.finfo(own.dtype).eps, atol=0.0, equal_nan=True)
 
 
 def _where(flags: np.ndarray | np.bool_) -> tuple[int, ...]:
@@ -244,7 +249,7 @@ def _reals(controller: Controller) -> list[Array]:
     return jax.tree.leaves(eqx.filter(controller, eqx.is_inexact_array))
 
 
-def _on_host(tree: T) -> T:
+def _on_host(tree: PyTree) -> OnHost:
     return jax.tree.map(np.asarray, tree)
 
 
@@ -252,7 +257,7 @@ def _rows(tree: T, rows: np.ndarray) -> T:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], tree)
 
 
-def _put(all_lanes: PyTree | None, lanes: np.ndarray, n: int, some: T) -> T:
+def _put(all_lanes: OnHost, lanes: np.ndarray, n: int, some: OnHost) -> OnHost:
     """All of n lanes, with new values in some."""
     if all_lanes is None:
         all_lanes = jax.tree.map(lambda leaf: np.zeros((n, *leaf.shape[1:]), leaf.dtype), some)
@@ -261,7 +266,7 @@ def _put(all_lanes: PyTree | None, lanes: np.ndarray, n: int, some: T) -> T:
     return all_lanes
 
 
-def _in_blocks(function: Callable[..., T], *arguments: PyTree) -> T:
+def _in_blocks(function: Callable[..., PyTree], *arguments: PyTree) -> OnHost:
     """A compiled function of lanes, called with BLOCK of them at a time, so that one program does for any number."""
     n = len(jax.tree.leaves(arguments)[0])
     lanes = np.minimum(np.arange(-(-n // BLOCK) * BLOCK), n - 1).reshape(-1, BLOCK)
@@ -275,7 +280,7 @@ def _any(slope: PyTree) -> PyTree:
     return jax.tree.map(lambda leaf: random.normal(0.0, 1e-2, leaf.shape).astype(leaf.dtype), slope)
 
 
-def _picked(leaves: list[np.ndarray], places: Places) -> np.ndarray:
+def _picked(leaves: list[np.ndarray], places: Places) -> OnHost:
     """Numbers at the places, of leaves with a leading axis (m, p)."""
     parts = [leaf.reshape(len(leaf), -1)[:, own] for leaf, own in zip(leaves, places, strict=True)]
     return np.concatenate(parts, axis=1)
