@@ -129,7 +129,7 @@ class WalksInC:
     def __init__(self, setting: Setting):
         # Applied, since a number that a variant leaves to be derived is none of its own.
         own = tunables.values(setting.simulation.controller, setting.tunables)
-        simulation = dataclasses.replace(setting.simulation, controller=_controller(setting, own))
+        simulation = dataclasses.replace(setting.simulation, controller=_applied(setting, own))
         self.setting, self._lock = eqx.tree_at(lambda s: s.simulation, setting, simulation), Lock()
         numbers, slopes = _on_host(_slopes_of_numbers(self.setting, own))
         self.own = numbers
@@ -302,6 +302,11 @@ def _all_slopes(function: Callable[[Array], T], at: Float[Array, " k"]) -> tuple
     """The value of a function and its derivatives, with a leading axis."""
     units = jnp.eye(len(at), dtype=at.dtype)
     return jax.vmap(lambda unit: jax.jvp(function, (at,), (unit,)), out_axes=(None, 0))(units)
+
+
+@runtime.jit
+def _applied(setting: Setting, at: Float[Array, " k"]) -> Controller:
+    return _controller(setting, at)
 
 
 @runtime.jit
