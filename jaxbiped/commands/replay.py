@@ -23,6 +23,7 @@ from jaxbiped.commands.common import (
     whole,
 )
 from jaxbiped.commands.walk_input import Setup, of_row
+from jaxbiped.sim.compile import backend
 from jaxbiped.sim.options import C
 
 TOLERANCE = {"_s": 0.05, "_deg": 0.5, "_N": 60.0, "_Ns": 3.0, "_m": 5e-3}
@@ -67,7 +68,8 @@ def run(command: Replay) -> dict[str, Any]:
     one = walk.simulate(setup)
     result = walk.tell(setup, one, out)
     drawn = outcome(one, setup)
-    now = in_c(experiment, row, list(drawn)) if experiment.simulation.backend == C else drawn
+    is_in_c = experiment.simulation.backend == C and backend.serves(experiment.simulation)
+    now = in_c(experiment, row, list(drawn)) if is_in_c else drawn
     different = differences(row, now)
     for name, (before, after) in different.items():
         print(f"differs from the table: {name} was {before}, is {after}")

@@ -41,7 +41,7 @@ class Options(eqx.Module):
     """Control ticks between two samples of the trace; 0 for no trace."""
     backend: str = eqx.field(static=True, default=AUTO)
     """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; no traces, `compliant` contacts
-    only), or `auto`: C where it can and there is enough to walk; see `compile`."""
+    only), or `auto`: C where it can and there is enough to walk, and for all gradients; see `compile`."""
 
     def __check_init__(self) -> None:
         """Refuse options that cannot be simulated."""

@@ -241,14 +241,22 @@ class PureSimulation(eqx.Module):
 
         def advance(carry: tuple[State, PyTree]) -> tuple[tuple[State, PyTree], Sample]:
             state, total = carry
-            state, sample = self.tick(state)
             if rate is not None:
-                total = total + options.control_dt * rate(sample, ~state.record.failed)
+                state, total, sample = self.integrated(state, total, rate)
+            else:
+                state, sample = self.tick(state)
             return (state, total), sample
 
         start = (first, None if rate is None else self.integral_of(rate))
         (state, total), trace = sampled(advance, start, ticks, rows)
         return Walk(state.record.statistics, trace, state.controller, total)
+
+    def integrated(
+        self, state: State, integral: Float[Array, " m"], rate: Rate
+    ) -> tuple[State, Float[Array, " m"], Sample]:
+        """One control tick, and the integral of a rate over it; pure."""
+        state, sample = self.tick(state)
+        return state, integral + self.options.control_dt * rate(sample, ~state.record.failed), sample
 
     def integral_of(self, rate: Rate) -> Float[Array, " m"]:
         """Integral of a rate before the start: zeros."""

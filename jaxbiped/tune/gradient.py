@@ -7,6 +7,7 @@ scenarios and seeds, and antithetic Gaussian smoothing, which also sees what hap
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -130,14 +131,24 @@ class Problem:
         """Walks of the setting in machine code."""
         return WalksInC(self.setting)
 
-    def walks_in_c(self, points: np.ndarray) -> bool:
-        """Tell whether walks at such values (n, k) are in machine code: `auto` takes it wherever it can be had.
+    def walked_in_c(self, points: np.ndarray, walk: Callable[[], R]) -> R | None:
+        """Walk at such values (n, k) in machine code, which `auto` takes wherever it can; None where XLA has to walk.
 
-        Unlike a plain walk's, XLA's own program is not made faster than the compiler's, and is far slower.
+        A gradient's program takes XLA as long to compile as it takes the C compiler, so that little work is no reason
+        for XLA, as it is for plain walks.
         """
         wanted, options = self.experiment.options.backend, self.setting.simulation.options
         can = wanted == C or (wanted == AUTO and backend.serves(options))
-        return can and self.in_c.serves(points)
+        if not can or not self.in_c.serves(points):
+            return None
+        try:
+            return walk()
+        except backend.NotServedError as error:
+            if wanted == C:
+                raise
+            self.in_c.can = False
+            warnings.warn(f"{error}; it is walked by XLA", stacklevel=2)
+            return None
 
     @cached_property
     def setting(self) -> Setting:
@@ -178,12 +189,15 @@ def value_and_grad(
 def forward(problem: Problem, at: np.ndarray, rows: np.ndarray) -> Gradient:
     """Forward mode at a point."""
     began, n, point = time.perf_counter(), len(rows), jnp.asarray(at)
-    if problem.walks_in_c(np.broadcast_to(at, (n, len(at)))):
-        walked = [problem.in_c.walk_slopes(np.asarray(point), problem.scenarios(rows))]
-    else:
+    walked = problem.walked_in_c(
+        np.broadcast_to(at, (n, len(at))),
+        lambda: problem.in_c.walk_slopes(np.asarray(point), problem.scenarios(rows)),
+    )
+    if walked is None:
         calls = [(point, problem.scenarios(piece)) for piece in _pieces(rows)]
-        walked = _side_by_side(problem, walk_slopes, calls)
-    losses, slopes, trigger, growth, became = jax.tree.map(lambda *parts: np.concatenate(parts)[:n], *walked)
+        parts = _side_by_side(problem, walk_slopes, calls)
+        walked = jax.tree.map(lambda *few: np.concatenate(few)[:n], *parts)
+    losses, slopes, trigger, growth, became = walked
     made = _gradient(problem, at, losses, slopes, became, began)
     return dataclasses.replace(made, growth_time=became["time"][0], growth=growth, trigger_slope=trigger)
 
@@ -258,9 +272,12 @@ def outcomes(problem: Problem, at: np.ndarray, rows: np.ndarray) -> tuple[np.nda
 def _walked(problem: Problem, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Losses (m, n) of n scenarios at m points each (m, n, k), and what became of the walks at the first ones."""
     m, n, k = at.shape
-    if problem.walks_in_c(at.reshape(m * n, k)):
-        points = np.asarray(jnp.asarray(at.reshape(m * n, k)))
-        values, became = problem.in_c.walk_values(points, problem.scenarios(np.tile(rows, m)))
+    points = np.asarray(jnp.asarray(at.reshape(m * n, k)))  # as JAX rounds them
+    in_c = problem.walked_in_c(
+        points, lambda: problem.in_c.walk_values(points, problem.scenarios(np.tile(rows, m)))
+    )
+    if in_c is not None:
+        values, became = in_c
         return values.reshape(m, n), {name: of_all[:n] for name, of_all in became.items()}
     pieces = _pieces(np.arange(n))
     scenarios = [problem.scenarios(rows[piece]) for piece in pieces]

@@ -1,5 +1,7 @@
 """Walks with a loss, pure and as XLA compiles them: their losses, and the derivatives by a controller's tunables."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxbiped import runtime, sim
 from jaxbiped.adapt import tunables
 from jaxbiped.adapt.tunables import Tunable
+from jaxbiped.planner import Gait
 from jaxbiped.score import Loss, judge
 
 SAMPLES = 8
@@ -30,25 +33,21 @@ class Setting(eqx.Module):
         self, at: Float[Array, " k"], scenario: sim.Scenario
     ) -> tuple[tuple[Array, Array, Array], dict[str, Array]]:
         """Walk once: (loss, poses, start of the last reflex), to be differentiated, and what became of the walk."""
-        robot = self.simulation.robot
-        controller = tunables.apply(robot, self.simulation.controller, self.tunables, at)
-
-        def rate(sample: sim.Sample, upright: Array) -> Array:
-            return self.loss.rate(robot, sample, upright)
-
+        controller = tunables.apply(self.simulation.robot, self.simulation.controller, self.tunables, at)
         simulation = self.simulation.led_by(controller)
-        walk = simulation.walk(scenario, self.ticks, rate, SAMPLES)
-        assert walk.integral is not None and walk.trace is not None
+        walk = simulation.walk(scenario, self.ticks, partial(self.loss.rate, simulation.robot), SAMPLES)
+        assert walk.trace is not None
+        (loss, trigger), became = self.concluded(walk, controller.gait, scenario)
+        return (loss, poses(walk.trace), trigger), {**became, "time": walk.trace.time}
+
+    def concluded(
+        self, walk: sim.Walk, gait: Gait, scenario: sim.Scenario
+    ) -> tuple[tuple[Array, Array], dict[str, Array]]:
+        """Loss of a walk and start of its last reflex, to be differentiated, and what became of the walk; pure."""
+        assert walk.integral is not None and walk.controller is not None
         loss = self.loss.total(walk.integral, walk, self.duration)
-        success = judge(walk, controller.gait, scenario).success
-        became = {"status": walk.statistics.status, "success": success, "time": walk.trace.time}
-        return (loss, poses(walk.trace), trigger(walk)), became
-
-
-def trigger(walk: sim.Walk) -> Float[Array, ""]:
-    """Start of the last reflex [s]; 0 without one."""
-    assert walk.controller is not None
-    return walk.controller.signals.interrupted_time
+        became = {"status": walk.statistics.status, "success": judge(walk, gait, scenario).success}
+        return (loss, walk.controller.signals.interrupted_time), became
 
 
 def poses(trace: sim.Sample) -> Float[Array, "*t 12"]:

@@ -1,14 +1,13 @@
 """Walks with a loss in machine code: what `walks` has XLA compile, by the C compiler.
 
 What depends on the tunables is a number of every lane, so that one program serves walks with different values of them.
-So are the tangents: the program of slopes advances a walk and one tangent of it, and is called for one tunable after
-the other. Only the table of the plan's torques is the same for all lanes of a call.
+So are the tangents: the program of slopes advances a walk and one tangent of it, in a lane for every scenario and
+tunable. Only the table of the plan's torques is the same for all lanes of a call.
 """
 
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from threading import Lock
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -20,11 +19,11 @@ from jaxtyping import Array, Bool, Float, PyTree
 from jaxbiped import runtime, sim
 from jaxbiped.adapt import tunables
 from jaxbiped.adapt.controller import Controller
-from jaxbiped.score import Loss, judge
+from jaxbiped.score import Loss
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
 from jaxbiped.sim.tick import State
-from jaxbiped.tune.walks import SAMPLES, Setting, poses, trigger
+from jaxbiped.tune.walks import SAMPLES, Setting, poses
 
 BLOCK = 16
 """Walks that are begun and ended at once."""
@@ -40,7 +39,7 @@ T = TypeVar("T")
 
 
 class Walker(eqx.Module):
-    """What all lanes share."""
+    """Record of what all lanes share."""
 
     simulation: sim.Simulation
     """With the variant's own numbers, and the torques of the plan that is walked."""
@@ -94,14 +93,14 @@ def slope_step(walker: Walker, both: Differentiated) -> tuple[Differentiated, Bo
 
 def _advanced(walker: Walker, torque: Array, walking: Walking) -> Walking:
     one = _with(walker, torque, walking.tuned)
-    state, sample = one.tick(walking.state)
-    rate = walker.loss.rate(one.robot, sample, ~state.record.failed)
-    integral = walking.integral + one.options.control_dt * rate
+    state, integral, sample = one.integrated(
+        walking.state, walking.integral, partial(walker.loss.rate, one.robot)
+    )
     return Walking(state, integral, poses(sample), walking.tuned)
 
 
 def _split(walking: Walking) -> tuple[PyTree, PyTree]:
-    """What of a walk may depend on tunables, and the rest: its world, and what is no real number."""
+    """Part a walk into what may depend on tunables and the rest: its world, and what is no real number."""
     is_moving = jax.tree.map(eqx.is_inexact_array, walking)
     return eqx.partition(walking, eqx.tree_at(lambda w: w.state.world, is_moving, False))
 
@@ -129,17 +128,18 @@ class WalksInC:
     def __init__(self, setting: Setting):
         # Applied, since a number that a variant leaves to be derived is none of its own.
         own = tunables.values(setting.simulation.controller, setting.tunables)
-        simulation = dataclasses.replace(setting.simulation, controller=_applied(setting, own))
-        self.setting, self._lock = eqx.tree_at(lambda s: s.simulation, setting, simulation), Lock()
-        numbers, slopes = _on_host(_slopes_of_numbers(self.setting, own))
-        self.own = numbers
+        simulation = dataclasses.replace(setting.simulation, controller=_controller(setting, own))
+        self.setting = eqx.tree_at(lambda s: s.simulation, setting, simulation)
+        self.own, slopes = _on_host(_slopes_of_numbers(self.setting, own))
         self.places: Places = tuple(_where(np.any(slope != 0.0, axis=0)) for slope in slopes)
         is_gait = any(t.stage == "gait" for t in setting.tunables)
         self.moves_torque = setting.simulation.options.feed_forward and is_gait
+        self.can = True
+        """Whether there is a rule for all that is walked, as far as is known."""
 
     def serves(self, points: np.ndarray) -> bool:
-        """Tell whether walks at such values (n, k) share enough: those with one table of torques walk together."""
-        return not self.moves_torque or len(np.unique(points, axis=0)) * FEWEST <= len(points)
+        """Tell whether walks at such values (n, k) can be, and enough of them share a table of torques."""
+        return self.can and (not self.moves_torque or len(np.unique(points, axis=0)) * FEWEST <= len(points))
 
     def walk_values(
         self, at: np.ndarray, scenarios: sim.Scenario
@@ -202,7 +202,7 @@ class WalksInC:
             jax.tree.map(lambda leaf: np.repeat(leaf, k, axis=0), begun),
             jax.tree.map(lambda leaf: leaf.reshape(n * k, *leaf.shape[2:]), slopes),
         )
-        compared = Differentiated(lanes.walking, _any(lanes.slope))
+        compared = Differentiated(lanes.walking, _like(lanes.slope))
         machine = backend.machine_of(walker, compared, slope_step, rounding=SLOPE_ROUNDING)
         leaves, ticks = shared_leaves(walker), int(self.setting.ticks)
         interval = max(ticks // SAMPLES, 1)
@@ -228,13 +228,9 @@ class WalksInC:
         Args:
             numbers: leaves of the controller, with a leading axis.
         """
-        with self._lock:
-            pairs = zip(numbers, self.own, strict=True)
-            moved = [_where(~np.all(_same(new, own), axis=0)) for new, own in pairs]
-            self.places = tuple(
-                tuple(sorted({*old, *new})) for old, new in zip(self.places, moved, strict=True)
-            )
-            return self.places
+        moved = [_where(~np.all(_same(new, own), axis=0)) for new, own in zip(numbers, self.own, strict=True)]
+        self.places = tuple(tuple(sorted({*old, *new})) for old, new in zip(self.places, moved, strict=True))
+        return self.places
 
 
 def _same(new: np.ndarray, own: np.ndarray) -> np.ndarray | np.bool_:
@@ -274,8 +270,8 @@ def _in_blocks(function: Callable[..., PyTree], *arguments: PyTree) -> OnHost:
     return jax.tree.map(lambda *few: np.concatenate(few)[:n], *parts)
 
 
-def _any(slope: PyTree) -> PyTree:
-    """Tangents in which nothing is zero, to compare with."""
+def _like(slope: PyTree) -> PyTree:
+    """Random tangents of the same shapes, to compare with: in those of a start most numbers are zero."""
     random = np.random.default_rng(0)
     return jax.tree.map(lambda leaf: random.normal(0.0, 1e-2, leaf.shape).astype(leaf.dtype), slope)
 
@@ -286,15 +282,13 @@ def _picked(leaves: list[np.ndarray], places: Places) -> OnHost:
     return np.concatenate(parts, axis=1)
 
 
+@runtime.jit
 def _controller(setting: Setting, at: Float[Array, " k"]) -> Controller:
     return tunables.apply(setting.simulation.robot, setting.simulation.controller, setting.tunables, at)
 
 
-def _numbers_at(setting: Setting, at: Float[Array, " k"]) -> list[Array]:
-    return _reals(_controller(setting, at))
-
-
-def _torque_at(setting: Setting, at: Float[Array, " k"]) -> Array:
+@runtime.jit
+def _torque(setting: Setting, at: Float[Array, " k"]) -> Array:
     return setting.simulation.led_by(_controller(setting, at)).torque.torque
 
 
@@ -305,28 +299,18 @@ def _all_slopes(function: Callable[[Array], T], at: Float[Array, " k"]) -> tuple
 
 
 @runtime.jit
-def _applied(setting: Setting, at: Float[Array, " k"]) -> Controller:
-    return _controller(setting, at)
-
-
-@runtime.jit
 def _numbers(setting: Setting, at: Float[Array, "n k"]) -> list[Array]:
-    return jax.vmap(lambda x: _numbers_at(setting, x))(at)
-
-
-@runtime.jit
-def _torque(setting: Setting, at: Float[Array, " k"]) -> Array:
-    return _torque_at(setting, at)
+    return jax.vmap(lambda x: _reals(_controller(setting, x)))(at)
 
 
 @runtime.jit
 def _slopes_of_numbers(setting: Setting, at: Float[Array, " k"]) -> tuple[list[Array], list[Array]]:
-    return _all_slopes(lambda x: _numbers_at(setting, x), at)
+    return _all_slopes(lambda x: _reals(_controller(setting, x)), at)
 
 
 @runtime.jit
 def _slopes_of_torque(setting: Setting, at: Float[Array, " k"]) -> tuple[Array, Array]:
-    return _all_slopes(lambda x: _torque_at(setting, x), at)
+    return _all_slopes(lambda x: _torque(setting, x), at)
 
 
 def _start(walker: Walker, torque: Array, tuned: Float[Array, " p"], scenario: sim.Scenario) -> Walking:
@@ -372,9 +356,7 @@ def _end(
     """The loss and the start of the last reflex, and what became of the walk."""
     state, controller = walking.state, _replaced(setting.simulation.controller, places, walking.tuned)
     walk = sim.Walk(state.record.statistics, None, state.controller, walking.integral)
-    loss = setting.loss.total(walking.integral, walk, setting.duration)
-    success = judge(walk, controller.gait, scenario).success
-    return (loss, trigger(walk)), {"status": walk.statistics.status, "success": success}
+    return setting.concluded(walk, controller.gait, scenario)
 
 
 @runtime.jit

@@ -31,7 +31,7 @@ def made_up(monkeypatch):
         growth = jnp.broadcast_to(slope[:, None], (n, 8, len(at)))
         return loss, slope, jnp.zeros_like(slope), growth, {**became, "time": jnp.ones((n, 8))}
 
-    monkeypatch.setattr(gradient.Problem, "walks_in_c", lambda *_: False)  # there, threads share the lanes
+    monkeypatch.setattr(gradient.Problem, "walked_in_c", lambda *_: None)  # there, threads share the lanes
     monkeypatch.setattr(gradient, "walk_values", values)
     monkeypatch.setattr(gradient, "walk_slopes", slopes)
     return seen

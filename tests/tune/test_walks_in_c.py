@@ -16,7 +16,7 @@ import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
 from jaxbiped.score import WalkLoss
 from jaxbiped.sim.compile import backend, kept
-from jaxbiped.tune import Problem, central, forward, outcomes, smoothed
+from jaxbiped.tune import Problem, central, forward, gradient, outcomes, smoothed
 from jaxbiped.tune.walks_in_c import _begun, value_step
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -118,6 +118,29 @@ def test_a_loss_of_ones_own_is_not_taken_for_another():
     assert ours != other and name != other_name is not None
     (plain, no_name), (squared, none_either) = map(named, (Foreign(False), Foreign(True)))
     assert plain != squared and no_name is None and none_either is None
+
+
+def test_what_c_cannot_do_is_walked_by_xla_where_nobody_asked_for_c(monkeypatch: pytest.MonkeyPatch):
+    """With a warning, once."""
+    tried: list[str] = []
+
+    def refused(*_: Any) -> Any:
+        tried.append("c")
+        raise backend.NotServedError("no rule")
+
+    def by_xla(_: Any, at: Any, scenarios: Any) -> Any:
+        n = len(scenarios.payload.mass)
+        return jnp.full(n, 7.0), {"status": jnp.zeros(n, int), "success": jnp.ones(n, bool)}
+
+    monkeypatch.setattr(gradient.WalksInC, "walk_values", refused)
+    monkeypatch.setattr(gradient, "walk_values", by_xla)
+    problem = payload()
+    with pytest.warns(UserWarning, match="no rule; it is walked by XLA"):
+        np.testing.assert_array_equal(outcomes(problem, problem.start, ROWS)[0], 7.0)
+    outcomes(problem, problem.start, ROWS)
+    assert tried == ["c"]
+    with pytest.raises(backend.NotServedError):
+        outcomes(by("c", payload()), problem.start, ROWS)
 
 
 @pytest.mark.slow

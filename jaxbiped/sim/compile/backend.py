@@ -31,6 +31,11 @@ ODD_LANES = 1 / 8
 ENOUGH = 4_000_000
 """Physics ticks from which on `auto` chooses C: with fewer XLA, which is compiled faster, is ready sooner."""
 
+
+class NotServedError(ValueError):
+    """Machine code cannot do a walk: a primitive without a rule, or a use of one."""
+
+
 _machines: dict[Hashable, Machine] = {}
 
 
@@ -100,7 +105,7 @@ def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mappi
     try:
         code = Code.of(program_of(closed, shared, one), single=np.dtype(np.float64) not in reals)
     except UnknownPrimitiveError as error:
-        raise ValueError(f"backend: 'c' cannot do this walk: {error}; allowed: {XLA}") from error
+        raise NotServedError(f"backend: 'c' cannot do this walk: {error}; allowed: {XLA}") from error
     machine = Machine(code)
     kept.keep(name, kept.Kept(code, compare(machine, closed, shared, states, rounding)))
     return machine

@@ -1,4 +1,4 @@
-"""What scalar operations simplify to; one short rule each, exact but for the sign of zeros and for 0 times NaN."""
+"""Rules by which scalar operations are simplified: short ones, exact but for the sign of zeros and for 0 times NaN."""
 
 from collections.abc import Callable
 

@@ -27,7 +27,7 @@ class UnknownPrimitiveError(NotImplementedError):
 
 @runtime_checkable
 class Equation(Protocol):
-    """What rules read of an equation of a jaxpr."""
+    """Interface of an equation of a jaxpr, as rules read it."""
 
     primitive: Any
     params: dict[str, Any]

@@ -192,6 +192,18 @@ def test_wrong_machine_code_is_refused_by_the_name_of_the_variable(in_c: Simulat
         backend.compare(Wrong(), closed, in_c, jax.tree.map(np.asarray, states))
 
 
+def strange(one: Simulation, state: State) -> tuple[State, Any]:
+    """A step with what no rule is for."""
+    new, stopped = tick(one, state)
+    return eqx.tree_at(lambda s: s.zmp, new, jax.lax.erf(new.zmp)), stopped
+
+
+def test_what_there_is_no_rule_for_is_named(in_c: Simulation):
+    states = segments._begin(in_c, scenarios(4), jnp.asarray(1000, jnp.int32))
+    with pytest.raises(backend.NotServedError, match=r"cannot do this walk: no rule for the primitive 'erf'"):
+        backend.machine_of(in_c, states, strange)
+
+
 @pytest.mark.parametrize(
     ("options", "what"),
     [({"trace_every": 5}, "traces"), ({"contact": "mjx"}, "contact 'mjx'")],
@@ -307,9 +319,11 @@ def test_the_name_covers_all_that_a_program_depends_on(begun, monkeypatch):
         name(one, jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, states)),
         name(simulation("surena3", backend="c"), states),
     ]
+    with jax.numpy_dtype_promotion("strict"):
+        others.append(name(one, states))
     monkeypatch.setattr(kept.files, "source_hash", lambda: "other sources")
     others.append(name(one, states))
-    assert None not in others and len({own, *others}) == 6
+    assert None not in others and len({own, *others}) == 7
 
 
 def test_what_has_a_class_from_elsewhere_is_not_kept(begun):
