@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
+
 import jax
 import jax.numpy as jnp
 

@@ -96,6 +96,19 @@ def threads() -> int:
     return min(cores(), int(given)) if given.isdecimal() and int(given) else cores()
 
 
+_under_way = [""]
+
+
+def now(what: str) -> None:
+    """Note what goes on in this process, for whoever is asked what takes so long; "" for nothing in particular."""
+    _under_way[0] = what
+
+
+def under_way() -> str:
+    """What goes on in this process, in a few words."""
+    return _under_way[0]
+
+
 def cache_folder() -> Path:
     """The folder where compiled kernels are kept between runs, as the system has it: on Linux ~/.cache/jaxbiped/jax."""
     return platformdirs.user_cache_path("jaxbiped", appauthor=False) / "jax"

@@ -34,6 +34,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp

@@ -18,6 +18,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp

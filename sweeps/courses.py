@@ -22,6 +22,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
+
 import jax
 import jax.numpy as jnp
 import numpy as np

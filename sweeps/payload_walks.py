@@ -5,6 +5,8 @@ python sweeps/payload_walks.py
 
 import argparse
 
+import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
+
 import jax
 import jax.numpy as jnp
 import numpy as np

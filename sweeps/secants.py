@@ -14,6 +14,8 @@ the loss by more than MATTERS of it: next to nothing has no trend. With `--singl
 import argparse
 from typing import Any
 
+import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
+
 import jax
 import numpy as np
 

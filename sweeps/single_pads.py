@@ -6,6 +6,8 @@ python sweeps/single_pads.py
 import argparse
 from typing import Any
 
+import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
+
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -214,3 +214,19 @@ def test_checker_catches(module, source, what):
 def test_checker_resolves_relative_imports_of_a_package():
     assert violations("from . import leg", "jaxbiped.kinematics", is_package=True) == []
     assert violations("from .. import planner", "jaxbiped.kinematics", is_package=True) != []
+
+
+@pytest.mark.parametrize("folder", ["sweeps", "benchmarks"])
+def test_scripts_import_the_package_or_its_settings_before_jax(folder: str):
+    """XLA reads once, when JAX is imported, how much it is to say."""
+    firsts = {"jaxbiped", "common", "jax", "equinox", "agreement", "tuned"}
+    for file in sorted((PROJECT / folder).glob("*.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        names = [
+            name.split(".")[0]
+            for name, _ in sorted(
+                imported_modules(tree, file.stem, is_package=False), key=lambda pair: pair[1]
+            )
+        ]
+        first = next((name for name in names if name in firsts), "jaxbiped")
+        assert first not in ("jax", "equinox"), f"{file.name} imports {first} first"

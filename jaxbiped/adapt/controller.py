@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from jaxbiped import runtime
 from jaxbiped.adapt.sensed import Sensed
 from jaxbiped.adapt.stage import PlannedStage, Signals, Stage
 from jaxbiped.planner import Gait, Targets, at
@@ -51,7 +52,7 @@ class Controller(eqx.Module):
         if len(set(names)) < len(names):
             raise ValueError(f"stages: got {', '.join(names)}, allowed: each at most once")
         self.gait = gait
-        self.stages = tuple(stage.plan(gait) for stage in chosen)
+        self.stages = tuple(_planned(stage, gait) for stage in chosen)
 
     def stage(self, name: str) -> Any:  # noqa: ANN401
         """The planned stage of this name; None if there is none."""
@@ -82,3 +83,9 @@ class Controller(eqx.Module):
         return {
             name: value for stage in self.stages for name, value in stage.outcome(states[stage.name]).items()
         }
+
+
+@runtime.jit
+def _planned(stage: Stage, gait: Gait) -> PlannedStage:
+    """Plan a stage; compiled, since its hundred small operations would take seconds one by one."""
+    return stage.plan(gait)

@@ -73,7 +73,7 @@ class PlannedStage(eqx.Module):
     @classmethod
     @abstractmethod
     def plan(cls, params: "Stage", gait: Gait) -> "PlannedStage":
-        """Read off the plan what the stage needs of it."""
+        """Read off the plan what the stage needs of it; pure, and may be traced."""
 
     @abstractmethod
     def init(self) -> PyTree:

@@ -83,8 +83,9 @@ class Experiment:
             )
         inputs.require_apart(self.table, self.pads)
         if judge:
-            least, strongest = self.table["sinkage_m"].min(), self.table["gain_scale"].max()
-            require_stable_dt(self.robot, self.options.dt, float(least), float(strongest))  # type: ignore[arg-type]
+            sinkage, gains = (self.table[name].to_numpy() for name in ("sinkage_m", "gain_scale"))
+            least, strongest = float(np.min(sinkage)), float(np.max(gains))
+            require_stable_dt(self.robot, self.options.dt, least, strongest, self.options.implicit)
         for name, variant in self.variants.items() if judge else ():
             self._require_walkable(name, variant)
 

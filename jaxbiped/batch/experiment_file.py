@@ -45,7 +45,7 @@ from jaxbiped.planner import GAITS, Gait
 from jaxbiped.planner.constraints import OR_ALLOW
 from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.sim import Options, own_options
-from jaxbiped.sim.options import BACKENDS, CONTACTS, DURATION, MAX_TICKS
+from jaxbiped.sim.options import BACKENDS, CONTACTS, DURATION, IMPLICIT, MAX_TICKS
 from jaxbiped.sim.plant import PAYLOAD_MODELS
 
 TABLES = ("robot", "gait", "variants", "scenarios", "simulation", "score", "report")
@@ -60,6 +60,7 @@ TIMES = ("load_time_s", "load_end_s", "push_time_s")
 """Columns of times, which are counted on the clock that the file names."""
 OPTIONS: dict[str, Field] = {
     "dt": Quantity("s", 1e-5, 0.01),
+    "implicit": Word(IMPLICIT),
     "feed_forward": Flag("add the plan's inverse dynamics to the servos' torque"),
     "payload_model": Word(PAYLOAD_MODELS),
     "contact": Word(CONTACTS),

@@ -163,6 +163,7 @@ def _simulation(experiment: Experiment) -> dict[str, Any]:
     same = len(set(durations.values())) == 1
     return {
         "dt": options.dt,
+        "implicit": options.implicit,
         "control_every": options.control_every,
         "feed_forward": options.feed_forward,
         "payload_model": options.payload_model,

@@ -1,5 +1,7 @@
 """Progress of a run, told now and then, so that nothing long is silent, not even while XLA compiles."""
 
+import contextlib
+import json
 import sys
 import threading
 import time
@@ -7,14 +9,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import TextIOBase
+from pathlib import Path
 from typing import TextIO
+
+from jaxbiped import files, runtime
 
 Stream = TextIO | TextIOBase
 """A text file, or what stands in for one."""
 BAR = 24
 """Characters of the bar of progress."""
-FIRST_S, EVERY_S = 5.0, 30.0
+FIRST_S, EVERY_S = 1.5, 30.0
 """Time to the first line where there is no terminal, and between two lines from then on [s]."""
+SHORT_S, MOST_KEPT = 3.0, 200
+"""What took less than so long [s] is not worth remembering, nor are more things than so many."""
 REDRAWN_S = 1.0
 """Time between two writings of the line of a terminal [s]."""
 
@@ -71,29 +78,72 @@ class Shown:
         filled = round(BAR * (p.done + p.under_way) / max(p.total, 1))
         bar = f"[{'#' * filled}{'.' * (BAR - filled)}] {p.done} of {p.total} walks"
         if p.rate is None or p.seconds_left is None:
-            of_first = f", {p.under_way:.0f} walks' worth done" if p.under_way else ""
+            of_first = f", {p.under_way:.0f} walks' worth done" if p.under_way else _phase()
             return f"{bar}, compiling and simulating the first chunk for {duration(p.seconds + passed)}{of_first}"
         left = f", about {duration(max(0.0, p.seconds_left - passed))} left" if p.done < p.total else ""
         return f"{bar}, {p.failed} failed, {p.rate:.3g} a second{left}"
 
 
 @contextmanager
-def waiting(what: str, stream: Stream | None = None, redraw: bool = True) -> Iterator[None]:
-    """Say now and then that something is still going on.
+def waiting(
+    what: str, stream: Stream | None = None, redraw: bool = True
+) -> Iterator[Callable[[float], None]]:
+    """Say now and then that something is still going on, for how long, and how long it took the last time.
+
+    Gives a function that may be told which fraction of it is done.
 
     Args:
         what: that goes on, such as "compiling and simulating 17 s of walking".
         stream: where to; standard error by default.
         redraw: on a terminal one line that is written over again; else lines, among which others may be written.
     """
-    began = time.monotonic()
-    words = lambda: f"{what}: {duration(time.monotonic() - began)}"  # noqa: E731
+    began, before, done = time.monotonic(), _times().get(what), [0.0]
+
+    def words() -> str:
+        passed = time.monotonic() - began
+        if done[0] > 0.0:
+            return f"{what}: {duration(passed)}, {100.0 * done[0]:.0f} % done"
+        last = f" (the last time {duration(before)})" if before else ""
+        return f"{what}: {duration(passed)}{last}{_phase()}"
+
+    def told(fraction: float) -> None:
+        done[0] = fraction
+
     pulse = _Pulse(stream or sys.stderr, words, keep=False, redraw=redraw)
     pulse.start()
     try:
-        yield
+        yield told
+        _remember(what, time.monotonic() - began)
     finally:
         pulse.close()
+
+
+def _phase() -> str:
+    return f"; {runtime.under_way()}" if runtime.under_way() else ""
+
+
+def _times_file() -> Path:
+    return runtime.cache_folder().parent / "times.json"
+
+
+def _times() -> dict[str, float]:
+    """How long things took the last time [s]; nothing where it cannot be read."""
+    try:
+        said = json.loads(_times_file().read_text(encoding="utf-8"))
+        return {str(what): float(seconds) for what, seconds in said.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _remember(what: str, seconds: float) -> None:
+    """Remember how long something took; a folder that cannot be written is no harm."""
+    if seconds < SHORT_S:
+        return
+    times = {name: time for name, time in _times().items() if name != what}
+    latest = [*times.items(), (what, round(seconds, 1))][-MOST_KEPT:]
+    with contextlib.suppress(OSError):
+        _times_file().parent.mkdir(parents=True, exist_ok=True)
+        files.write(_times_file(), json.dumps(dict(latest), indent=0))
 
 
 def duration(seconds: float) -> str:

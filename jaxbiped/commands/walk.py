@@ -156,8 +156,9 @@ def tell(setup: Setup, walk: sim.Walk, out: Path) -> dict[str, Any]:
 
 def simulate(setup: Setup) -> sim.Walk:
     """The walk of a setup, with its trace, on the host."""
-    with batch.waiting(f"compiling and simulating {setup.duration:.0f} s of walking"):
-        walk = sim.rollout(setup.robot, setup.controller, setup.scenario, setup.duration, setup.options)
+    with batch.waiting(f"compiling and simulating {setup.duration:.0f} s of walking") as told:
+        given = (setup.robot, setup.controller, setup.scenario, setup.duration, setup.options)
+        walk = sim.rollout(*given, told)
         return jax.tree.map(np.asarray, walk)
 
 

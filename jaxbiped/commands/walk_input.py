@@ -120,11 +120,7 @@ def set_up(
     pads, load = _obstacles(obstacles, gait), _load(payload, gait, params)
     if of_file is None:
         chosen = _variants(words, bool(pads), load is not None)
-        controller = adapt.Controller(
-            gait,
-            stage_of("landing", chosen.landing, params, gait),
-            stage_of("payload", chosen.reflex, params, gait),
-        )
+        controller = _controller(chosen, params, gait)
     else:
         controller, stages = of_file, (of_file.stage("landing"), of_file.stage("payload"))
         chosen = Variants(*(OFF if stage is None else words[0] for stage in stages))
@@ -137,6 +133,25 @@ def set_up(
         where, got, rest = str(error).partition("got ")
         raise InputError(f"{'--obstacle: ' if where.startswith('scenarios') else where}{got}{rest}") from None
     return of_row(one, {"variant": name, "scenario": 0, **one.table.row(0, named=True)}, chosen)
+
+
+def controller_of(
+    variants: Iterable[str], params: robot.RobotParams, gait: Gait, allow_infeasible: bool = False
+) -> adapt.Controller:
+    """A controller by the words of `--variant`, in no scenario in particular; `repaired` without any.
+
+    Raises:
+        InputError: if they cannot be used.
+    """
+    words = list(variants) or [REPAIRED]
+    of_file = _of_file(words, params, gait, allow_infeasible)
+    return _controller(_variants(words, False, False), params, gait) if of_file is None else of_file
+
+
+def _controller(chosen: Variants, params: robot.RobotParams, gait: Gait) -> adapt.Controller:
+    """The controller of named variants."""
+    stages = (("landing", chosen.landing), ("payload", chosen.reflex))
+    return adapt.Controller(gait, *(stage_of(stage, word, params, gait) for stage, word in stages))
 
 
 def of_row(experiment: batch.Experiment, row: Mapping[str, Any], variants: Variants | None = None) -> Setup:

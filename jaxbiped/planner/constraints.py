@@ -5,17 +5,17 @@ out by a factor of 4 or more from step to step, so that of a long walk only the 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int
 
 from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.checks import GaitError
-from jaxbiped.planner.feasibility import Feasibility, of_targets
+from jaxbiped.planner.feasibility import Feasibility, in_blocks, judged
 from jaxbiped.planner.targets import Plan, Targets, TaskSpace, at
 from jaxbiped.robot import JOINT_NAMES, KNEE, SIDE_NAMES, RobotParams
 
@@ -32,8 +32,6 @@ _SINGLE, _DOUBLE, _REST = 64, 32, 100
 """Numbers of samples of a single support, of a double support, and of start and stop."""
 _EDGE = 1e-3
 """Distance of the first and last samples of a support phase from its ends, as a fraction of the phase."""
-_BLOCK = 512
-"""Samples judged at once: one size, so that judging is compiled once, whatever the gait and the robot."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,6 @@ class _Sampled:
     """A plan at instants that cover it, on the host."""
 
     robot: RobotParams
-    """The robot without its names, which would be compiled in."""
     time: np.ndarray
     """Sample times [s]."""
     step: np.ndarray
@@ -105,25 +102,17 @@ class _Sampled:
     def of(cls, robot: RobotParams, gait: Plan) -> "_Sampled":
         time, step = _times(gait)
         targets = jax.tree.map(np.asarray, _targets(gait, time))
-        nameless = replace(robot, name="any", walks_like="")
-        return cls(nameless, time, step, targets, gait.timing.n_steps)
+        return cls(robot, time, step, targets, gait.timing.n_steps)
 
     def judged(self) -> tuple[np.ndarray, Feasibility]:
         """Times [s], and the plan's feasibility there."""
         rows = np.flatnonzero((self.step < CHECKED_STEPS) | (self.step >= self.n_steps - CHECKED_STEPS))
-        return self.time[rows], self._map(of_targets, rows)
+        some = jax.tree.map(lambda leaf: leaf[rows], self.targets)
+        return self.time[rows], in_blocks(judged, self.robot, some)
 
     def statuses(self) -> np.ndarray:
         """Status of each leg's inverse kinematics at all times."""
-        return self._map(_statuses, np.arange(len(self.time)))
-
-    def _map(self, function: Callable[[RobotParams, Targets], PyTree], rows: np.ndarray) -> PyTree:
-        padded = np.pad(rows, (0, -len(rows) % _BLOCK), mode="edge")
-        blocks = [
-            function(self.robot, jax.tree.map(lambda leaf: leaf[block], self.targets))  # noqa: B023
-            for block in np.split(padded, len(padded) // _BLOCK)
-        ]
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows)], *blocks)
+        return in_blocks(_statuses, self.robot, self.targets)
 
 
 def _times(gait: Plan) -> tuple[np.ndarray, np.ndarray]:

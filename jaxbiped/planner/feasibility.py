@@ -1,17 +1,23 @@
 """Can this robot walk this plan? ZMP, friction, torque, speed, knee of the multibody model (khadiv 2.2)."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
 
 from jaxbiped import runtime
 from jaxbiped.kinematics import Motion, MotionState, Wrench, body, dynamics, joint_angles
 from jaxbiped.planner import support
-from jaxbiped.planner.targets import DOUBLE_SUPPORT, Phase, Plan, Targets, TaskSpace
+from jaxbiped.planner.checks import is_concrete
+from jaxbiped.planner.targets import DOUBLE_SUPPORT, Phase, Plan, Targets, TaskSpace, at
 from jaxbiped.robot import KNEE, RobotParams
+
+BLOCK = 512
+"""Instants that are judged at once."""
 
 
 class Feasibility(eqx.Module):
@@ -134,18 +140,41 @@ def instant(robot: RobotParams, gait: Plan | Frozen, t: Float[Array, ""]) -> Fea
     )
 
 
-@runtime.jit
-def feasibility(robot: RobotParams, gait: Plan, times: Float[Array, " n"]) -> Feasibility:
+def feasibility(robot: RobotParams, gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Feasibility:
     """Feasibility of a gait at many times [s], as a leading axis. Differentiable in robot and gait."""
-    return jax.vmap(lambda t: instant(robot, gait, t))(times)
+    found = of_targets(robot, _targets(gait, times))
+    return eqx.tree_at(lambda f: f.time, found, jnp.asarray(times))
+
+
+def of_targets(robot: RobotParams, targets: Targets) -> Feasibility:
+    """Feasibility of a gait at the instants of its targets, which have a leading axis; their `time` is 0.
+
+    One program judges every gait of every robot at any number of instants: where all is known, block by block.
+    """
+    if not is_concrete(robot, targets):
+        return judged(robot, targets)
+    return jax.tree.map(jnp.asarray, in_blocks(judged, robot, targets))
+
+
+def in_blocks(
+    function: Callable[[RobotParams, Targets], PyTree], robot: RobotParams, targets: Targets
+) -> PyTree:
+    """A compiled function of targets, which have a leading axis, called with BLOCK of them at a time; on the host."""
+    nameless = replace(robot, name="any", walks_like="")  # names would be compiled in
+    n, targets = len(targets.time), jax.tree.map(np.asarray, targets)
+    rows = np.minimum(np.arange(n + -n % BLOCK), n - 1).reshape(-1, BLOCK)
+    parts = [function(nameless, jax.tree.map(lambda leaf: leaf[block], targets)) for block in rows]  # noqa: B023
+    return jax.tree.map(lambda *few: np.concatenate(few)[:n], *parts)
 
 
 @runtime.jit
-def of_targets(robot: RobotParams, targets: Targets) -> Feasibility:
-    """Feasibility of a gait at the instants of its targets, which have a leading axis: compiled once for all gaits.
+def _targets(gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Targets:
+    return jax.vmap(lambda t: at(gait, t))(jnp.asarray(times))
 
-    The same as `feasibility`, but that `time` is 0.
-    """
+
+@runtime.jit
+def judged(robot: RobotParams, targets: Targets) -> Feasibility:
+    """Feasibility of a gait at the instants of its targets, see `of_targets`."""
     return jax.vmap(lambda one: instant(robot, Frozen(one), jnp.zeros_like(one.time)))(targets)
 
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbiped import runtime
-from jaxbiped.planner import Plan
-from jaxbiped.planner.feasibility import instant
+from jaxbiped.planner import Plan, at, feasibility, is_concrete
+from jaxbiped.planner.feasibility import Frozen, instant
 from jaxbiped.robot import RobotParams
 
 _TOGETHER = 128
@@ -45,9 +45,16 @@ def rows(gait: Plan, interval: float = 0.005) -> int:
     return _TOGETHER * (int(_LONGER * float(gait.duration) / interval + 2) // _TOGETHER + 1)
 
 
-@runtime.jit
 def plan(robot: RobotParams, gait: Plan, rows: int, interval: float = 0.005) -> FeedForward:
     """Tabulate the plan's joint torques; the feet share the ground wrench by the ZMP."""
     times = jnp.arange(rows) * interval
-    torque = jax.lax.map(lambda t: instant(robot, gait, t).torque, times, batch_size=_TOGETHER)
-    return FeedForward(torque, interval)
+    if is_concrete(robot, gait):
+        return FeedForward(feasibility(robot, gait, times).torque, interval)
+    return FeedForward(_torques(robot, gait, times), interval)
+
+
+@runtime.jit
+def _torques(robot: RobotParams, gait: Plan, times: Float[Array, " n"]) -> Float[Array, "n 2 6"]:
+    return jax.lax.map(
+        lambda t: instant(robot, Frozen(at(gait, t)), jnp.zeros_like(t)).torque, times, batch_size=_TOGETHER
+    )

@@ -59,6 +59,24 @@ class BodyMotion(eqx.Module):
     bias: Float[Array, " nv"]
     """Coriolis, centrifugal and gravity forces; `mass_matrix @ qacc + bias` = applied forces."""
 
+    @classmethod
+    def nothing(cls, dtype: np.dtype) -> "BodyMotion":
+        """Zeros."""
+        nv, links = BIPED.nv, BIPED.links.stop - BIPED.links.start
+        shapes = {
+            "p_world_foot": (2, 3),
+            "rot_world_foot": (2, 3, 3),
+            "p_world_trunk": (3,),
+            "rot_world_trunk": (3, 3),
+            "twist_foot": (2, 6),
+            "centre": (3,),
+            "dof_axes": (nv, 6),
+            "link_inertia": (links, 10),
+            "mass_matrix": (nv, nv),
+            "bias": (nv,),
+        }
+        return cls(**{name: jnp.zeros(shape, dtype) for name, shape in shapes.items()})
+
 
 def base_model(robot: RobotParams) -> Model:
     """MJX model of the nominal robot with an empty payload body welded to the trunk."""

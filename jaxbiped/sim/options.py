@@ -14,6 +14,8 @@ DURATION = Quantity("s", 0.0, 3600.0, above=True)
 """Allowed duration of a walk."""
 COMPLIANT, MJX, C_MUJOCO = "compliant", "mjx", "c_mujoco"
 CONTACTS = (COMPLIANT, MJX, C_MUJOCO)
+DAMPING, LINEAR = "damping", "linear"
+IMPLICIT = (DAMPING, LINEAR)
 AUTO, XLA, C = "auto", "xla", "c"
 BACKENDS = (AUTO, XLA, C)
 MAX_TICKS = 1_000_000
@@ -24,6 +26,9 @@ class Options(eqx.Module):
 
     dt: float = eqx.field(static=True, default=5e-4)
     """Physics tick [s]."""
+    implicit: str = eqx.field(static=True, default=DAMPING)
+    """What of the servos acts at the end of a tick: their `damping`, or also their stiffness (`linear`), as
+    weakly damped servos with long ticks need it."""
     control_every: int = eqx.field(static=True, default=4)
     """Physics ticks in a control tick."""
     feed_forward: bool = eqx.field(static=True, default=True)
@@ -40,8 +45,8 @@ class Options(eqx.Module):
     trace_every: int = eqx.field(static=True, default=0)
     """Control ticks between two samples of the trace; 0 for no trace."""
     backend: str = eqx.field(static=True, default=AUTO)
-    """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; no traces, `compliant` contacts
-    only), or `auto`: C where it can and there is enough to walk, and for all gradients; see `compile`."""
+    """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; `compliant` contacts only), or
+    `auto`: C where it can and there is enough to walk, and for all gradients; see `compile`."""
 
     def __check_init__(self) -> None:
         """Refuse options that cannot be simulated."""
@@ -56,6 +61,12 @@ class Options(eqx.Module):
             )
         if self.contact not in CONTACTS:
             raise ValueError(f"contact: got {self.contact!r}, allowed: {', '.join(CONTACTS)}")
+        if self.implicit not in IMPLICIT:
+            raise ValueError(f"implicit: got {self.implicit!r}, allowed: {', '.join(IMPLICIT)}")
+        if self.implicit != DAMPING and self.contact != COMPLIANT:
+            raise ValueError(
+                f"implicit: got {self.implicit!r}, allowed with contact {self.contact!r}: {DAMPING}"
+            )
         if self.backend not in BACKENDS:
             raise ValueError(f"backend: got {self.backend!r}, allowed: {', '.join(BACKENDS)}")
         if self.backend == C and why_not(self) is not None:
@@ -72,7 +83,6 @@ def why_not(options: Options) -> str | None:
     asked = {
         f"contact {options.contact!r}": options.contact != COMPLIANT,
         "noise in double precision": options.noise and bool(jax.config.values["jax_enable_x64"]),
-        "traces": options.trace_every > 0,
     }
     return next((what for what, is_asked in asked.items() if is_asked), None)
 

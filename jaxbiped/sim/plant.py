@@ -239,13 +239,15 @@ def joint_torque(
     qvel: Float[Array, " nv"],
     integral: Float[Array, "2 6"],
     dt: float,
+    ahead: float = 0.0,
 ) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"], Float[Array, "2 6"]]:
     """Torques of the servos, torques of servos and stops together, and the damping both still owe.
 
-    At the ends of its range a joint meets a one-sided spring, STOP_STIFFNESS times as stiff as its servo.
+    At the ends of its range a joint meets a one-sided spring, STOP_STIFFNESS times as stiff as its servo. For `ahead`
+    see `servo.torque`.
     """
     angle, speed = BIPED.leg_angles(qpos), BIPED.leg_speeds(qvel)
-    torque, damping = servo.torque(plant.servo, reference, angle, speed, integral)
+    torque, damping = servo.torque(plant.servo, reference, angle, speed, integral, ahead)
     lower, upper = plant.robot.joint_range[..., 0], plant.robot.joint_range[..., 1]
     stiffness = STOP_STIFFNESS * plant.servo.kp
     up, up_damping = ground.one_sided_spring(angle - lower, speed, stiffness, STOP_DAMPING, dt)

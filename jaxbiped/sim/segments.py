@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,7 @@ from jaxtyping import Array, Bool, Int
 
 from jaxbiped import runtime
 from jaxbiped.sim.compile import backend
+from jaxbiped.sim.compile.trace import shared_leaves
 from jaxbiped.sim.options import C
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
@@ -26,6 +28,8 @@ Further = Callable[[State], tuple[State, Any]]
 """Function from states to those a segment later, and which walks have stopped."""
 SEGMENT = 0.5
 """Length of a segment [s]."""
+STARTING, COMPILING, WALKING = "getting the start ready", "getting the walk ready", "walking"
+"""Said of a run while it goes on. Getting ready is tracing and compiling, or finding in the cache what was compiled."""
 MAX_ROWS = 25
 """Rows of a trace in a segment, where a trace is asked for."""
 
@@ -38,12 +42,22 @@ def run(
     lanes: int | None = None,
 ) -> Walk:
     """Walk all scenarios for `duration` [s]; see `Simulation.run_many`, which checks them."""
-    n, ticks = len(scenarios.ground.sinkage), simulation.ticks(duration)
+    ticks = simulation.ticks(duration)
     told = told or (lambda _: None)
-    if simulation.options.trace_every:
-        return _traced(simulation, scenarios, ticks, told)
-    lanes = n if lanes is None else min(lanes, n)
+    runtime.now(STARTING)
+    try:
+        return _run(simulation, scenarios, ticks, told, lanes)
+    finally:
+        runtime.now("")
+
+
+def _run(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, lanes: int | None) -> Walk:
+    n = len(scenarios.ground.sinkage)
     chosen = backend.chosen(simulation.options, n * ticks * simulation.options.control_every)
+    if simulation.options.trace_every:
+        rows_later = _rows_in_c if chosen == C else _rows_by_xla
+        return _traced(simulation, scenarios, ticks, told, rows_later)
+    lanes = n if lanes is None else min(lanes, n)
     further: Further = partial(_segment, simulation)
     if chosen == C:
         further = backend.segments(simulation, ticks_of_segment(simulation))
@@ -58,8 +72,10 @@ def _at_once(
     """Walk all scenarios at once, each in its own lane."""
     states, walked = _begin(simulation, scenarios, _count(ticks)), 0
     stopped = ticks <= 0
+    runtime.now(COMPILING)
     while not stopped:
         states, stops = further(states)
+        runtime.now(WALKING)
         walked += ticks_of_segment(simulation)
         stopped = bool(np.all(stops))
         told(1.0 if stopped else walked / ticks)
@@ -74,8 +90,10 @@ def _in_turn(
     holds, waiting = np.arange(lanes), lanes
     walks: list[Walk | None] = [None] * n
     states = _begin(simulation, _take(scenarios, holds), _count(ticks))
+    runtime.now(COMPILING)
     while any(walk is None for walk in walks):
         states, stops = further(states)
+        runtime.now(WALKING)
         done = np.flatnonzero(np.asarray(stops) & (holds < n))
         if not done.size:
             continue
@@ -92,17 +110,56 @@ def _in_turn(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *walks)
 
 
-def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told) -> Walk:
+def _traced(
+    simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, rows_later: "RowsLater"
+) -> Walk:
     """Walk all scenarios, each in its own lane, and trace them; the last rows of a trace may stand still."""
     rows = ticks // simulation.options.trace_every
     states = _begin(simulation, scenarios, _count(rows * simulation.options.trace_every))
     parts: list[Sample] = []
+    runtime.now(COMPILING)
     for start in range(0, max(rows, 1), MAX_ROWS):
-        states, part = _traced_segment(simulation, states)
+        states, part = rows_later(simulation, states)
         parts.append(jax.tree.map(np.asarray, part))
         told(min(1.0, (start + MAX_ROWS) / max(rows, 1)))
     trace = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1)[:, :rows], *parts)  # on the host
     return _walk(states, trace)
+
+
+RowsLater = Callable[[PureSimulation, State], tuple[State, Sample | None]]
+"""Function from states to those MAX_ROWS rows of a trace later, and the rows."""
+
+
+class Tracing(eqx.Module):
+    """A walk that has come so far, and what was seen in its last tick."""
+
+    state: State
+    sample: Sample
+
+
+def traced_tick(simulation: PureSimulation, tracing: Tracing) -> tuple[Tracing, Bool[Array, ""]]:
+    """Advance a walk by a control tick, and keep what is seen; pure."""
+    return Tracing(*simulation.tick(tracing.state)), jnp.zeros((), bool)
+
+
+def _rows_in_c(simulation: PureSimulation, states: State) -> tuple[State, Sample]:
+    """The states MAX_ROWS rows later, and the rows; in machine code."""
+    blank = _blank(simulation, states)
+    machine = backend.machine_of(simulation, Tracing(backend.endless(states), blank), traced_tick)
+    tracing = Tracing(jax.tree.map(np.asarray, states), blank)
+    leaves, rows = shared_leaves(simulation), []
+    for _ in range(MAX_ROWS):
+        tracing = machine.advance(leaves, tracing, simulation.options.trace_every, runtime.threads())
+        rows.append(tracing.sample)
+    return tracing.state, jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *rows)
+
+
+def _blank(simulation: PureSimulation, states: State) -> Sample:
+    """Samples of nothing, of the types that a tick gives."""
+    one = jax.tree.map(lambda leaf: leaf[0], states)
+    shapes = jax.eval_shape(lambda simulation, state: simulation.tick(state)[1], simulation, one)
+    n = len(states.left)
+    return jax.tree.map(lambda leaf: np.zeros((n, *leaf.shape), leaf.dtype), shapes)
 
 
 def _walk(states: State, trace: Sample | None = None) -> Walk:
@@ -139,8 +196,8 @@ def _segment(simulation: PureSimulation, states: State) -> tuple[State, Bool[Arr
 
 
 @runtime.jit
-def _traced_segment(simulation: PureSimulation, states: State) -> tuple[State, Sample | None]:
-    """Return the states a segment of MAX_ROWS rows later, and the rows."""
+def _rows_by_xla(simulation: PureSimulation, states: State) -> tuple[State, Sample | None]:
+    """The states MAX_ROWS rows later, and the rows."""
     ticks = MAX_ROWS * simulation.options.trace_every
     return jax.vmap(lambda state: sampled(simulation.tick, state, ticks, MAX_ROWS))(states)
 

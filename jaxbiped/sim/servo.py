@@ -2,7 +2,7 @@
 
 The speed-proportional part acts on the speed at the end of the tick (implicitly): explicit integration would make it
 chatter. `torque` returns what acts with the speed at the start of the tick, and the damping the integrator must add to
-the mass matrix to move it to the end.
+the mass matrix to move it to the end. Of long ticks the position-proportional part does so, too.
 """
 
 import equinox as eqx
@@ -33,15 +33,25 @@ def torque(
     angle: Float[Array, "2 6"],
     speed: Float[Array, "2 6"],
     integral: Float[Array, "2 6"],
+    ahead: float = 0.0,
 ) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"]]:
     """Joint torques [N m] and the damping [N m s/rad] the integrator owes them.
+
+    Args:
+        servo: gains and limits.
+        reference: at the start of the tick.
+        angle: [rad].
+        speed: [rad/s].
+        integral: of the position errors [rad s].
+        ahead: time by which position errors are those to which the speeds at its end lead [s]: 0 for those of the start
+            of the tick, or the tick.
 
     The torque levels off smoothly below its limit (`saturated`), and the damping with it. Beyond the speed limit the
     motor cannot push any further: the torque that would speed the joint up fades out over a tenth of the limit.
     """
     wanted_speed = jnp.clip(reference.speed, -servo.speed_limit, servo.speed_limit)
     free = (
-        servo.kp * (reference.angle - angle)
+        servo.kp * (reference.angle + ahead * reference.speed - angle - ahead * speed)
         + servo.kv * (wanted_speed - speed)
         + servo.ki * integral
         + reference.feed_forward
@@ -49,7 +59,7 @@ def torque(
     limited, share = saturated(free, servo.torque_limit)
     left = jnp.clip(11.0 - 10.0 * jnp.abs(speed) / servo.speed_limit, 0.0, 1.0)
     applied = jnp.where(limited * speed > 0.0, left * limited, limited)
-    return applied, share * servo.kv
+    return applied, share * (servo.kv + ahead * servo.kp)
 
 
 def saturated(

@@ -89,10 +89,11 @@ def rollout(
     scenario: Scenario,
     duration: float,
     options: Options | None = None,
+    told: Told | None = None,
 ) -> Walk:
     """Walk one robot in one scenario for `duration` [s]: `prepare` and `Simulation.run`, and errors as from there."""
     require_allowed(robot, controller, scenario, duration, options or Options())
-    return prepare(robot, controller, options, rectangles_of(scenario)).run(scenario, duration)
+    return prepare(robot, controller, options, rectangles_of(scenario)).run(scenario, duration, told)
 
 
 def require_allowed(
@@ -107,7 +108,7 @@ def require_allowed(
     require_clear_start(robot, controller.gait, scenarios.terrain)
     if is_concrete(scenarios):
         gains, sinkage = np.max(scenarios.errors.gain_scale), np.min(scenarios.ground.sinkage)
-        require_stable_dt(robot, options.dt, float(sinkage), float(gains))
+        require_stable_dt(robot, options.dt, float(sinkage), float(gains), options.implicit)
     if options.contact == MJX:
         mjx_contacts.check_terrain(scenarios.terrain)
 

@@ -1,8 +1,8 @@
 """Longest physics tick for a robot's servos on its ground: the tick linearized, on the host.
 
 Ground, stops and the servos' damping are taken implicitly and bound no tick. What is left is the servos' stiffness,
-which acts at the start of a tick, against the inertia that it moves: of a leg in the air, whose foot is light, or of
-the robot that stands.
+which acts at the start of a tick unless `Options.implicit` is `linear`, against the inertia that it moves: of a leg in
+the air, whose foot is light, or of the robot that stands.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from jaxbiped.planner import is_concrete
 from jaxbiped.robot import SIDE_NAMES, RobotParams
 from jaxbiped.robot.layout import BASE_DOFS
 from jaxbiped.sim.model import CORNER_NAMES, build_model
+from jaxbiped.sim.options import DAMPING, LINEAR
 
 LONGEST_DT = 0.01
 """Longest physics tick there is [s]."""
@@ -31,18 +32,22 @@ class _Linear:
 
     inertia: np.ndarray
     spring: np.ndarray
-    """Stiffness of the servos, explicit."""
+    """Stiffness of the servos, explicit or implicit."""
     damping: np.ndarray
     """Damping of the servos, implicit."""
     ground: np.ndarray
     """Stiffness of the ground under all corners, implicit."""
+
+    is_linear: bool
+    """Whether the stiffness of the servos is implicit."""
 
     def grows(self, dt: float) -> bool:
         """Tell whether a small disturbance grows with ticks of dt [s], in the air or on the ground."""
         return max(self._growth(dt, 0.0), self._growth(dt, 1.0)) > FASTEST_GROWTH
 
     def _growth(self, dt: float, pressed: float) -> float:
-        late = np.linalg.inv(self.inertia + dt * self.damping + dt * dt * pressed * self.ground)
+        implicit = pressed * self.ground + (self.spring if self.is_linear else 0.0)
+        late = np.linalg.inv(self.inertia + dt * self.damping + dt * dt * implicit)
         by_place = -dt * late @ (self.spring + pressed * self.ground)
         by_speed = late @ self.inertia
         unit = np.eye(len(late))
@@ -50,15 +55,18 @@ class _Linear:
         return float(np.log(np.abs(np.linalg.eigvals(tick)).max()) / dt)
 
 
-def largest_stable_dt(robot: RobotParams, sinkage: float, gain_scale: float = 1.0) -> float:
+def largest_stable_dt(
+    robot: RobotParams, sinkage: float, gain_scale: float = 1.0, implicit: str = DAMPING
+) -> float:
     """Longest stable physics tick [s], at most LONGEST_DT.
 
     Args:
         robot: one robot, without a batch axis.
         sinkage: how deep it sinks into the ground [m].
         gain_scale: factor on the gains of the servos.
+        implicit: see `Options.implicit`.
     """
-    system = _linear(robot, sinkage, gain_scale)
+    system = _linear(robot, sinkage, gain_scale, implicit)
     if not system.grows(LONGEST_DT):
         return LONGEST_DT
     low, high = 0.0, LONGEST_DT
@@ -68,7 +76,9 @@ def largest_stable_dt(robot: RobotParams, sinkage: float, gain_scale: float = 1.
     return low
 
 
-def require_stable_dt(robot: RobotParams, dt: float, sinkage: float, gain_scale: float = 1.0) -> None:
+def require_stable_dt(
+    robot: RobotParams, dt: float, sinkage: float, gain_scale: float = 1.0, implicit: str = DAMPING
+) -> None:
     """Refuse a physics tick that is too long for a robot's servos; robots that are traced are not judged.
 
     Args:
@@ -76,21 +86,22 @@ def require_stable_dt(robot: RobotParams, dt: float, sinkage: float, gain_scale:
         dt: the tick [s].
         sinkage: how deep the robot sinks into the ground [m].
         gain_scale: factor on the gains of the servos; gains that are not finite are not judged.
+        implicit: see `Options.implicit`.
 
     Raises:
         ValueError: naming the tick and the longest one allowed.
     """
     if not (is_concrete(robot) and np.isfinite(gain_scale * np.asarray(robot.servo.kp)).all()):
         return
-    if not _linear(robot, sinkage, gain_scale).grows(dt):
+    if not _linear(robot, sinkage, gain_scale, implicit).grows(dt):
         return
-    longest = largest_stable_dt(robot, sinkage, gain_scale)
+    longest = largest_stable_dt(robot, sinkage, gain_scale, implicit)
     raise Refusal(
         f"dt: got {dt:g} s, allowed: <= {0.99 * longest:.2g} s, where the servos of robot {robot.name!r} are stable"
     )
 
 
-def _linear(robot: RobotParams, sinkage: float, gain_scale: float) -> _Linear:
+def _linear(robot: RobotParams, sinkage: float, gain_scale: float, implicit: str) -> _Linear:
     model = build_model(robot)
     data = mujoco.MjData(model)
     for side in SIDE_NAMES:
@@ -110,6 +121,7 @@ def _linear(robot: RobotParams, sinkage: float, gain_scale: float) -> _Linear:
         _on_joints(gain_scale * np.asarray(robot.servo.kp, float)),
         _on_joints(gain_scale * np.asarray(robot.servo.kv, float)),
         ground,
+        implicit == LINEAR,
     )
 
 

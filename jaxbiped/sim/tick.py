@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from jaxbiped.robot import RobotParams
 from jaxbiped.robot.layout import BIPED
 from jaxbiped.sim import equilibrium, feed_forward, ground, mjx_adapter, plant, sensors, statistics
 from jaxbiped.sim.feed_forward import FeedForward
-from jaxbiped.sim.options import COMPLIANT, MJX, Options
+from jaxbiped.sim.options import COMPLIANT, LINEAR, MJX, Options
 from jaxbiped.sim.physics import compliant, mjx_contacts
 from jaxbiped.sim.physics.contract import Advance, Physics
 from jaxbiped.sim.plant import Plant, World
@@ -157,8 +158,7 @@ class PureSimulation(eqx.Module):
         world = plant.make_plant(self.robot, self.model, scenario, self.options.payload_model)
         targets = at(self.controller.gait, 0.0)
         reference = servo_reference(self.robot, targets, self.torque)[0]
-        qpos = equilibrium.standing(world, targets.position, reference)
-        body = plant.motion_at_rest(world, qpos)
+        qpos, body = equilibrium.standing(world, targets.position, reference)
         touch = ground.contact(self.robot, scenario.ground, scenario.terrain, body)
         zero = jnp.zeros((), qpos.dtype)
         physics = Physics(
@@ -322,6 +322,8 @@ def _physics_ticks(world: Plant, options: Options, state: State) -> tuple[Physic
         allowed = ", ".join(ENGINES)
         raise ValueError(f"contact: got {options.contact!r}, which has no pure tick; allowed: {allowed}")
     advance = ENGINES[options.contact]
+    if options.implicit == LINEAR:
+        advance = partial(compliant.advance, ahead=options.dt)
 
     def tick(carry: tuple[Physics, Record, Reference], _: None):
         physics, record, reference = carry

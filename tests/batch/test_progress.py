@@ -1,11 +1,12 @@
 """What a person is told while something takes long: never nothing, never "inf s left"."""
 
 import io
+import json
 import time
 
 import pytest
 
-from jaxbiped import batch
+from jaxbiped import batch, runtime
 from jaxbiped.batch import progress
 
 
@@ -86,6 +87,53 @@ def test_waiting_says_what_for(fast, terminal):
         wait_for(stream, "compiling 17 s of walking: 0 s")
     if terminal:
         assert said(stream).endswith("\r") and "\n" not in said(stream)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A cache folder of its own."""
+    monkeypatch.setattr(runtime, "cache_folder", lambda: tmp_path / "cache" / "jax")
+    return tmp_path / "cache"
+
+
+def test_waiting_says_how_long_it_took_the_last_time(fast, folder, monkeypatch):
+    monkeypatch.setattr(progress, "SHORT_S", 0.01)
+    with batch.waiting("planning", Stream(False)):
+        time.sleep(0.02)
+    times = json.loads((folder / "times.json").read_text())
+    assert set(times) == {"planning"} and 0.0 <= times["planning"] < 5.0
+    (folder / "times.json").write_text('{"planning": 83.0}')
+    stream = Stream(False)
+    with batch.waiting("planning", stream):
+        wait_for(stream, "planning: 0 s (the last time 1 min 23 s)")
+
+
+@pytest.mark.parametrize("content", ["", "[1]", '{"planning": "long"}', '{"planning": null}', "\0"])
+def test_times_that_cannot_be_read_are_none(fast, folder, content):
+    folder.mkdir()
+    (folder / "times.json").write_text(content)
+    stream = Stream(False)
+    with batch.waiting("planning", stream):
+        wait_for(stream, "planning: 0 s\n")
+
+
+def test_what_ends_at_once_or_in_an_error_is_not_remembered(fast, folder, monkeypatch):
+    with batch.waiting("planning", Stream(False)):
+        pass
+    monkeypatch.setattr(progress, "SHORT_S", 0.0)
+    with pytest.raises(ValueError, match="bad"), batch.waiting("planning", Stream(False)):
+        raise ValueError("bad")
+    assert not (folder / "times.json").exists()
+
+
+def test_waiting_says_what_goes_on_and_how_much_is_done(fast, folder):
+    stream = Stream(False)
+    with batch.waiting("walking 17 s", stream) as told:
+        runtime.now("compiling the walk as C")
+        wait_for(stream, "walking 17 s: 0 s; compiling the walk as C")
+        runtime.now("")
+        told(0.25)
+        wait_for(stream, "walking 17 s: 0 s, 25 % done")
 
 
 def test_waiting_ends_with_an_error_too(fast):

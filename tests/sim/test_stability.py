@@ -23,6 +23,7 @@ from jaxbiped.sim import (
     rollout,
     stability,
 )
+from jaxbiped.sim.options import LINEAR
 from jaxbiped.sim.physics.compliant import advance
 from jaxbiped.sim.physics.contract import Physics
 from jaxbiped.sim.servo import Reference
@@ -52,12 +53,12 @@ def hanging(params: RobotParams, angle: Any) -> tuple[plant.Plant, Physics]:
 
 
 @eqx.filter_jit
-def fall(world: plant.Plant, state: Physics, angle: Any, dt: float, ticks: int) -> Any:
+def fall(world: plant.Plant, state: Physics, angle: Any, dt: float, ticks: int, ahead: float = 0.0) -> Any:
     """Joint angles of a robot that falls while its servos are told an angle, tick by tick."""
     reference = Reference(angle, jnp.zeros((2, 6)), jnp.zeros((2, 6)))
 
     def tick(state: Physics, _: None) -> Any:
-        state, _seen = advance(world, dt, reference, state)
+        state, _seen = advance(world, dt, reference, state, ahead)
         return state, state.qpos[7:].reshape(2, 6)
 
     return jax.lax.scan(tick, state, None, length=ticks)[1]
@@ -81,6 +82,32 @@ def test_longest_tick_is_where_the_tick_itself_becomes_unstable(x64):
     for dt, stable in ((0.9 * longest, True), (1.1 * longest, False)):
         away = np.abs(np.asarray(fall(world, state, middle, dt, 150)) - np.asarray(middle)).max(axis=(1, 2))
         assert np.all(away[100:] < 2e-3) == stable, (dt, away[::20])  # what is flung far enough is NaN
+
+
+def test_with_implicit_stiffness_a_long_tick_is_stable(x64):
+    """The same knee comes to rest where it was flung away."""
+    params = weak("elkahlout", 0.01)
+    dt = 1.5 * stability.largest_stable_dt(params, SINKAGE)
+    assert stability.largest_stable_dt(params, SINKAGE, implicit=LINEAR) > 1.1 * dt
+    middle = jnp.mean(params.joint_range, axis=-1)
+    world, state = hanging(params, middle.at[0, 3].add(1e-3))
+    away = np.abs(np.asarray(fall(world, state, middle, dt, 150, dt)) - np.asarray(middle)).max(axis=(1, 2))
+    assert np.all(away[100:] < 2e-3)
+    stability.require_stable_dt(params, dt, SINKAGE, implicit=LINEAR)
+
+
+def test_implicit_stiffness_is_the_same_servo(x64):
+    """Both rules come together as the tick is halved, by half each time: they differ by a term of first order."""
+    params = load("surena3")
+    middle = jnp.mean(params.joint_range, axis=-1)
+    world, state = hanging(params, middle + 0.02)
+    apart = []
+    for dt in (1e-3, 5e-4, 2.5e-4):
+        ticks = round(0.1 / dt)
+        ends = [np.asarray(fall(world, state, middle, dt, ticks, ahead))[-1] for ahead in (0.0, dt)]
+        apart.append(np.abs(ends[0] - ends[1]).max())
+    assert 1e-5 < apart[0] < 2e-3
+    np.testing.assert_allclose(np.divide(apart[1:], apart[:-1]), 0.5, atol=0.1)
 
 
 def test_a_tick_that_is_unstable_is_refused_with_the_longest_that_is_not():

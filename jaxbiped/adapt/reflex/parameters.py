@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxbiped import runtime
 from jaxbiped.adapt.parameters import Tune, number, require_names, switch
 from jaxbiped.adapt.stage import Outcome, Stage, register
 from jaxbiped.checked import Quantity, Refusal
@@ -270,6 +271,7 @@ def planned_ripple(robot: RobotParams, gait: Gait, samples_per_step: int = 60) -
     return jnp.abs(force - force[0]).max()
 
 
+@runtime.jit
 def standing_zmp(robot: RobotParams, gait: Gait) -> Scalar:
     """ZMP forward of the pelvis [m] of the robot standing still as in mid double support: its center of mass."""
     task = gait.task(resume_plan_times(gait)[min(1, gait.timing.n_steps)])

@@ -63,12 +63,16 @@ def segments(
 
     def further(states: State) -> tuple[State, Bool[np.ndarray, " n"]]:
         if not made:
-            endless = np.full(np.shape(states.left), ENDLESS, np.int32)
-            made.append(machine_of(simulation, eqx.tree_at(lambda s: s.left, states, endless)))
+            made.append(machine_of(simulation, endless(states)))
         states = made[0].advance(leaves, states, ticks, runtime.threads())
         return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
 
     return further
+
+
+def endless(states: State) -> State:
+    """The same walks, with no end: to compare from."""
+    return eqx.tree_at(lambda s: s.left, states, np.full(np.shape(states.left), ENDLESS, np.int32))
 
 
 def machine_of(
@@ -98,6 +102,7 @@ def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mappi
         before, after = (jax.tree.unflatten(tree, each) for each in found.example[1:])
         _require_same(machine.advance(found.example.leaves, before, TICKS), after, rounding)
         return machine
+    runtime.now("tracing the walk for C")
     states = jax.tree.map(np.asarray, states)
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
     closed = trace(shared, one, step)
@@ -106,7 +111,9 @@ def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mappi
         code = Code.of(program_of(closed, shared, one), single=np.dtype(np.float64) not in reals)
     except UnknownPrimitiveError as error:
         raise NotServedError(f"backend: 'c' cannot do this walk: {error}; allowed: {XLA}") from error
+    runtime.now("compiling the walk as C")
     machine = Machine(code)
+    runtime.now("comparing C with XLA")
     kept.keep(name, kept.Kept(code, compare(machine, closed, shared, states, rounding)))
     return machine
 

@@ -103,9 +103,24 @@ def _or(graph: Graph, dtype: np.dtype, args: tuple[Scalar, ...]) -> Scalar | Non
     return args[0] if args[0] is args[1] else None
 
 
-@_of("max", "min")
-def _same(graph: Graph, dtype: np.dtype, args: tuple[Scalar, ...]) -> Scalar | None:
-    return args[0] if args[0] is args[1] else None
+@_of("max")
+def _largest(graph: Graph, dtype: np.dtype, args: tuple[Scalar, ...]) -> Scalar | None:
+    return _bounded(dtype, args, "min")
+
+
+@_of("min")
+def _smallest(graph: Graph, dtype: np.dtype, args: tuple[Scalar, ...]) -> Scalar | None:
+    return _bounded(dtype, args, "max")
+
+
+def _bounded(dtype: np.dtype, args: tuple[Scalar, ...], end: str) -> Scalar | None:
+    """The same scalar twice, or one beside the end of its type's range."""
+    if args[0] is args[1]:
+        return args[0]
+    for a, b in (args, args[::-1]):
+        if dtype.kind in "iu" and _is(a, getattr(np.iinfo(dtype), end)):
+            return b
+    return None
 
 
 @_of("not")

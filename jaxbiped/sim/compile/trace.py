@@ -41,11 +41,26 @@ def trace(shared: Any, state: Any, step: Step = tick) -> Any:
     return jax.make_jaxpr(lambda arrays, state: step(eqx.combine(arrays, rest), state))(arrays, state)
 
 
-def program_of(closed: Any, shared: Any, state: Any, rolled: int = ROLLED) -> Program:
-    """The program of a traced step. Shared numbers that are 0, 1 or -1 are part of it, others are given."""
+def program_of(
+    closed: Any,
+    shared: Any,
+    state: Any,
+    rolled: int = ROLLED,
+    known: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Program:
+    """The program of a traced step.
+
+    Args:
+        closed: the traced step.
+        shared: by all lanes.
+        state: of one lane, or its shapes.
+        rolled: equations of a loop body from which on it stays a loop.
+        known: tells which numbers of a shared array are part of the program, others being given; `is_part` if not
+            given.
+    """
     graph, leaves = Graph(), shared_leaves(shared)
     first = len(leaves)
-    inputs = [_given(graph, leaf, values) for leaf, values in enumerate(leaves)]
+    inputs = [_given(graph, leaf, values, known or is_part) for leaf, values in enumerate(leaves)]
     words: list[Word] = []
     for leaf, like in enumerate(jax.tree.leaves(state), first):
         mine = [Word(leaf, i, like.dtype) for i in range(int(np.prod(like.shape, dtype=int)))]
@@ -69,7 +84,7 @@ def is_part(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.isin(values, (0.0, 1.0, -1.0)) & (values.size < TABLE))
 
 
-def _given(graph: Graph, leaf: int, values: np.ndarray) -> Values:
-    flat, part = values.reshape(-1), is_part(values).reshape(-1)
+def _given(graph: Graph, leaf: int, values: np.ndarray, known: Callable[[np.ndarray], np.ndarray]) -> Values:
+    flat, part = values.reshape(-1), known(values).reshape(-1)
     scalars = (flat[i] if part[i] else graph.input(leaf, i, values.dtype) for i in range(flat.size))
     return filled(scalars, values.shape, values.dtype)

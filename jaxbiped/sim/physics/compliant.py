@@ -14,14 +14,24 @@ from jaxbiped.sim.seen import Seen
 from jaxbiped.sim.servo import Reference
 
 
-def advance(world: Plant, dt: float, reference: Reference, physics: Physics) -> tuple[Physics, Seen]:
-    """Semi-implicit Euler; what is stiff in ground, stops and servos acts with the velocity of the end of the tick."""
+def advance(
+    world: Plant, dt: float, reference: Reference, physics: Physics, ahead: float = 0.0
+) -> tuple[Physics, Seen]:
+    """Semi-implicit Euler; what is stiff in ground, stops and servos acts with the velocity of the end of the tick.
+
+    Args:
+        world: the robot and its scenario.
+        dt: tick [s].
+        reference: of the servos.
+        physics: before the tick.
+        ahead: see `servo.torque` [s].
+    """
     time = physics.tick * dt
     robot, scenario = world.robot, world.scenario
     body = plant.body_motion(world, physics.qpos, physics.qvel, time, dt)
     before = ground.contact(robot, scenario.ground, scenario.terrain, body, physics.pressed, dt)
     by_servo, torque, damping = plant.joint_torque(
-        world, reference, physics.qpos, physics.qvel, physics.integral, dt
+        world, reference, physics.qpos, physics.qvel, physics.integral, dt, ahead
     )
     forces = plant.Forces(
         body=body,

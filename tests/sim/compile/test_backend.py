@@ -112,6 +112,26 @@ def test_noise_is_that_of_xla():
     np.testing.assert_allclose(ours.zmp_margin, theirs.zmp_margin, atol=2e-4)
 
 
+def test_traces_are_those_of_xla():
+    """Row by row; a walk that has failed stands still in both."""
+    batch = scenarios(20)
+    ours, theirs = (
+        simulation("elkahlout", backend=name, trace_every=20).run_many(batch, 0.6) for name in ("c", "xla")
+    )
+    assert ours.trace is not None and theirs.trace is not None
+    assert ours.trace.time.shape == (20, 60) and ours.trace.qpos.shape == theirs.trace.qpos.shape
+    np.testing.assert_array_equal(ours.trace.targets.phase.step, theirs.trace.targets.phase.step)
+    for (path, a), b in zip(
+        jax.tree_util.tree_leaves_with_path(ours.trace), jax.tree.leaves(theirs.trace), strict=True
+    ):
+        if a.dtype.kind == "f":
+            size = max(1.0, np.abs(b[np.isfinite(b)]).max(initial=0.0))
+            share = np.isclose(a, b, rtol=0.0, atol=2e-3 * size, equal_nan=True).mean()
+            assert share > 0.99, f"{jax.tree_util.keystr(path)}: {share:.3f}"
+    fell = np.asarray(ours.statistics.status) == 1
+    assert fell.any() and (ours.trace.qpos[fell, -1] == ours.trace.qpos[fell, -2]).all()
+
+
 def test_walks_are_those_of_xla(in_c: Simulation):
     """As close as XLA's own walks are if all masses are changed by their last bit: touchdowns amplify rounding."""
     batch, in_xla = scenarios(20), simulation("elkahlout", backend="xla")
@@ -206,7 +226,7 @@ def test_what_there_is_no_rule_for_is_named(in_c: Simulation):
 
 @pytest.mark.parametrize(
     ("options", "what"),
-    [({"trace_every": 5}, "traces"), ({"contact": "mjx"}, "contact 'mjx'")],
+    [({"contact": "c_mujoco"}, "contact 'c_mujoco'"), ({"contact": "mjx"}, "contact 'mjx'")],
 )
 def test_what_only_xla_serves_is_refused(options: dict[str, Any], what: str):
     with pytest.raises(ValueError, match=f"backend: got 'c', which has no {what}; allowed: xla"):

@@ -1,0 +1,179 @@
+"""A program as JAX operations on vectors, one element a lane: for devices that have many lanes at once.
+
+XLA is given the same scalar operations that are printed as C, without the small arrays that the tick is written with.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from jaxbiped import runtime
+from jaxbiped.sim.compile.evaluate import evaluate, value_of
+from jaxbiped.sim.compile.graph import AFTER, CARRY, INPUT, TAKE, Node, Scalar
+from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
+from jaxbiped.sim.compile.program import Level, Program
+
+Vectors = dict[int, Any]
+"""By the numbers of nodes, their values."""
+
+_SAME: dict[str, Callable[..., Any]] = {
+    "add": jnp.add, "sub": jnp.subtract, "mul": jnp.multiply, "div": lax.div, "max": jnp.maximum, "min": jnp.minimum,
+    "neg": jnp.negative, "abs": jnp.abs, "sign": jnp.sign, "floor": jnp.floor, "ceil": jnp.ceil, "round": jnp.round,
+    "sqrt": jnp.sqrt, "exp": jnp.exp, "log": jnp.log, "log1p": jnp.log1p, "tanh": jnp.tanh, "pow": jnp.power,
+    "sin": jnp.sin, "cos": jnp.cos, "tan": jnp.tan, "asin": jnp.arcsin, "acos": jnp.arccos, "atan": jnp.arctan,
+    "atan2": jnp.arctan2, "rem": lax.rem, "is_finite": jnp.isfinite, "lt": jnp.less, "le": jnp.less_equal,
+    "gt": jnp.greater, "ge": jnp.greater_equal, "eq": jnp.equal, "ne": jnp.not_equal, "and": jnp.bitwise_and,
+    "or": jnp.bitwise_or, "xor": jnp.bitwise_xor, "not": jnp.bitwise_not, "shl": jnp.left_shift,
+    "select": lambda which, no, yes: jnp.where(which, yes, no),
+}  # fmt: skip
+"""Operations of the graph in JAX; `shr` of words without a sign, `bits` and `convert` need the type of the result."""
+
+
+def operation(name: str, dtype: np.dtype, args: list[Any]) -> Any:
+    """One operation on vectors."""
+    if name == "convert":
+        return jnp.asarray(args[0]).astype(dtype)
+    if name == "bits":
+        return lax.bitcast_convert_type(args[0], dtype)
+    if name == "shr":
+        return lax.shift_right_logical(*jnp.broadcast_arrays(*args))
+    if name not in _SAME:
+        raise UnknownPrimitiveError(f"no JAX operation for {name!r}")
+    if name in ("div", "rem"):
+        args = list(jnp.broadcast_arrays(*args))
+    return _SAME[name](*args)
+
+
+class Lanes:
+    """A program on vectors of lanes, called on states as `machine.Machine` is."""
+
+    def __init__(self, program: Program):
+        self.program = program
+        self.shared = program.kept(Level.SHARED)
+        self.tables = sorted({node.param[0] for node in program.order if node.op == TAKE})
+        self._kernel: Any = runtime.jit_arrays(self._advance)
+
+    def advance(self, leaves: list[np.ndarray], states: Any, ticks: int, threads: int = 1) -> Any:
+        """The states of all lanes, with a leading axis, so many ticks later; XLA chooses the threads."""
+        each, tree = jax.tree.flatten(states)
+        values: Vectors = {}
+        evaluate(self.program.at(Level.SHARED), values, lambda leaf: leaves[leaf].reshape(-1))
+        shared = [np.asarray(values[node.number], node.dtype) for node in self.shared]
+        tables = [leaves[leaf].reshape(-1) for leaf in self.tables]
+        return jax.tree.unflatten(tree, self._kernel(_stacked(shared), tables, each, ticks))
+
+    def _advance(
+        self, shared: dict[str, Array], tables: list[Array], each: list[Array], ticks: Array
+    ) -> list[Array]:
+        program, places = self.program, self._places()
+        known: Vectors = {n.number: shared[kind][i] for n, (kind, i) in zip(self.shared, places, strict=True)}
+        given = dict(zip(self.tables, tables, strict=True))
+        lanes = each[0].shape[0]
+        flat = [leaf.reshape(lanes, -1) for leaf in each]
+        first = min(word.leaf for word in program.words)
+        words = [flat[word.leaf - first][:, word.element] for word in program.words]
+        place = {word.place: words[i] for i, word in enumerate(program.words)}
+        self._compute(program.at(Level.LANE), known, given, place)
+        changing = program.changing
+
+        def tick(_: Array, moving: list[Array]) -> list[Array]:
+            now = dict(known)
+            inside = {program.words[i].place: value for i, value in zip(changing, moving, strict=True)}
+            self._tick(now, given, place | inside)
+            return [
+                jnp.broadcast_to(value_of(program.after[i], now), (lanes,)).astype(old.dtype)
+                for i, old in zip(changing, moving, strict=True)
+            ]
+
+        moved = lax.fori_loop(0, ticks, tick, [words[i] for i in changing])
+        for i, value in zip(changing, moved, strict=True):
+            words[i] = value
+        out, at = [], 0
+        for leaf in each:
+            size = int(np.prod(leaf.shape[1:], dtype=int))
+            out.append(jnp.stack(words[at : at + size], axis=1).reshape(leaf.shape) if size else leaf)
+            at += size
+        return out
+
+    def _tick(self, now: Vectors, given: dict[int, Array], place: dict[Any, Array]) -> None:
+        """All nodes of a tick."""
+        program = self.program
+        self._compute(program.at(Level.TICK, 0), now, given, place)
+        for loop in program.graph.loops:
+            number = loop.number
+            carried = {n.param[1]: n for n in program.order if n.op == CARRY and n.param[0] == number}
+            left = [n for n in program.order if n.op == AFTER and n.param[0] == number]
+            rows = sorted({n.param[1] for n in left if n.param[1] >= len(loop.start)})
+            body = program.at(Level.TICK, 2 * number + 1)
+            lanes = next(iter(place.values())).shape
+
+            def once(
+                before: tuple[list[Array], list[Array]],
+                body: list[Node] = body,
+                carried: dict[int, Node] = carried,
+                rows: list[int] = rows,
+                loop: Any = loop,
+            ) -> tuple[list[Array], list[Array]]:
+                inside = dict(now)
+                for (_, node), value in zip(carried.items(), before[0], strict=True):
+                    inside[node.number] = value
+                self._compute(body, inside, given, place)
+
+                def full(scalar: Scalar, like: Array) -> Array:
+                    return jnp.broadcast_to(value_of(scalar, inside), like.shape).astype(like.dtype)
+
+                new = [full(loop.next[i], old) for i, old in zip(carried, before[0], strict=True)]
+                last = [
+                    full(loop.rows[i - len(loop.start)], old) for i, old in zip(rows, before[1], strict=True)
+                ]
+                return new, last
+
+            kinds = {n.param[1]: n.dtype for n in left}
+            begin = (
+                [
+                    jnp.broadcast_to(value_of(loop.start[i], now), lanes).astype(n.dtype)
+                    for i, n in carried.items()
+                ],
+                [jnp.zeros(lanes, kinds[i]) for i in rows],
+            )
+            ended = lax.fori_loop(0, loop.length, lambda _, b, once=once: once(b), begin)
+            after = dict(zip(carried, ended[0], strict=True)) | dict(zip(rows, ended[1], strict=True))
+            for node in left:
+                now[node.number] = after[node.param[1]]
+            self._compute(program.at(Level.TICK, 2 * number + 2), now, given, place)
+
+    def _compute(
+        self, nodes: list[Node], values: Vectors, given: dict[int, Array], place: dict[Any, Array]
+    ) -> None:
+        """Compute nodes in order."""
+        for node in nodes:
+            if node.op in (CARRY, AFTER) or node.number in values:
+                continue
+            if node.op == INPUT:
+                values[node.number] = place[node.param]
+            elif node.op == TAKE:
+                leaf, first, step, _ = node.param
+                values[node.number] = given[leaf][first + step * value_of(node.args[0], values)]
+            else:
+                args = [value_of(arg, values) for arg in node.args]
+                values[node.number] = operation(node.op, node.dtype, args)
+
+    def _places(self) -> list[tuple[str, int]]:
+        """Where the shared numbers stand in `_stacked`."""
+        counts: dict[str, int] = {}
+        places = []
+        for node in self.shared:
+            places.append((node.dtype.char, counts.get(node.dtype.char, 0)))
+            counts[node.dtype.char] = counts.get(node.dtype.char, 0) + 1
+        return places
+
+
+def _stacked(values: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Numbers by their types."""
+    kinds = {value.dtype.char for value in values}
+    return {kind: np.array([v for v in values if v.dtype.char == kind]) for kind in sorted(kinds)}
