@@ -33,3 +33,14 @@ def test_kernels_run_and_end_with_one_json_object():
         assert one["rotation_max_rad"] <= rotation, name
         assert one["beyond_range_max_rad"] <= 1e-6, name
     assert result["ik"]["mink"]["solved"] > 0.5
+
+
+@pytest.mark.slow
+def test_the_script_for_gpus_runs_on_a_cpu():
+    command = [sys.executable, str(BENCHMARKS / "gpu.py"), "--quick"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [row["row"] for row in rows] == ["device", "throughput", "gradient"]
+    assert rows[1]["batch"] == 8 and rows[1]["ticks_per_s"] > 0.0
+    assert rows[2]["tunables"] == 4 and rows[2]["seconds"] > 0.0

@@ -18,12 +18,12 @@ from jaxbiped.robot import RobotParams, on_device
 from jaxbiped.score import watch_time
 from jaxbiped.sim import Options
 from jaxbiped.sim.compile import backend
-from jaxbiped.sim.options import AUTO, DURATION, XLA, C
+from jaxbiped.sim.options import AUTO, DURATION, SCALAR, XLA, C
 from jaxbiped.sim.scenario import pad_under, require_clear_start, require_swing_clears
 from jaxbiped.sim.stability import require_stable_dt
 
 MAX_BATCH = 65536
-MAX_LANES = {XLA: 128, C: 256}
+MAX_LANES = {XLA: 128, C: 256, SCALAR: 65_536}
 """By backend, most walks at once where nobody says otherwise: more are no faster on a core, or hardly."""
 LANE_STEP = 8
 """Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""

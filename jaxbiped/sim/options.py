@@ -16,8 +16,8 @@ COMPLIANT, MJX, C_MUJOCO = "compliant", "mjx", "c_mujoco"
 CONTACTS = (COMPLIANT, MJX, C_MUJOCO)
 DAMPING, LINEAR = "damping", "linear"
 IMPLICIT = (DAMPING, LINEAR)
-AUTO, XLA, C = "auto", "xla", "c"
-BACKENDS = (AUTO, XLA, C)
+AUTO, XLA, C, SCALAR = "auto", "xla", "c", "scalar"
+BACKENDS = (AUTO, XLA, C, SCALAR)
 MAX_TICKS = 1_000_000
 
 
@@ -45,8 +45,9 @@ class Options(eqx.Module):
     trace_every: int = eqx.field(static=True, default=0)
     """Control ticks between two samples of the trace; 0 for no trace."""
     backend: str = eqx.field(static=True, default=AUTO)
-    """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; `compliant` contacts only), or
-    `auto`: C where it can and there is enough to walk, and for all gradients; see `compile`."""
+    """What compiles whole walks: `xla`, `c` (the system's C compiler, for a CPU; `compliant` contacts only), `scalar`
+    (XLA, given the scalars that C is given; for GPUs, minutes to compile on a CPU), or `auto`: C where it can and there
+    is enough to walk, and for all gradients; see `compile`."""
 
     def __check_init__(self) -> None:
         """Refuse options that cannot be simulated."""
@@ -69,8 +70,8 @@ class Options(eqx.Module):
             )
         if self.backend not in BACKENDS:
             raise ValueError(f"backend: got {self.backend!r}, allowed: {', '.join(BACKENDS)}")
-        if self.backend == C and why_not(self) is not None:
-            raise ValueError(f"backend: got 'c', which has no {why_not(self)}; allowed: {XLA}")
+        if self.backend in (C, SCALAR) and why_not(self) is not None:
+            raise ValueError(f"backend: got {self.backend!r}, which has no {why_not(self)}; allowed: {XLA}")
 
     @property
     def control_dt(self) -> float:
@@ -79,7 +80,7 @@ class Options(eqx.Module):
 
 
 def why_not(options: Options) -> str | None:
-    """Name what of the options only XLA serves; None if C serves all of them."""
+    """Name what of the options only XLA serves; None if C and scalars serve all of them."""
     asked = {
         f"contact {options.contact!r}": options.contact != COMPLIANT,
         "noise in double precision": options.noise and bool(jax.config.values["jax_enable_x64"]),

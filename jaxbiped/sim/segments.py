@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Int
 from jaxbiped import runtime
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
-from jaxbiped.sim.options import C
+from jaxbiped.sim.options import SCALAR, XLA, C
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
@@ -55,11 +55,11 @@ def _run(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told
     n = len(scenarios.ground.sinkage)
     chosen = backend.chosen(simulation.options, n * ticks * simulation.options.control_every)
     if simulation.options.trace_every:
-        rows_later = _rows_in_c if chosen == C else _rows_by_xla
+        rows_later = _rows_by_xla if chosen == XLA else _rows_in_c
         return _traced(simulation, scenarios, ticks, told, rows_later)
     lanes = n if lanes is None else min(lanes, n)
     further: Further = partial(_segment, simulation)
-    if chosen == C:
+    if chosen != XLA:
         further = backend.segments(simulation, ticks_of_segment(simulation))
     if lanes == n:
         return _at_once(simulation, scenarios, ticks, told, further)
@@ -143,9 +143,10 @@ def traced_tick(simulation: PureSimulation, tracing: Tracing) -> tuple[Tracing, 
 
 
 def _rows_in_c(simulation: PureSimulation, states: State) -> tuple[State, Sample]:
-    """The states MAX_ROWS rows later, and the rows; in machine code."""
+    """The states MAX_ROWS rows later, and the rows; in machine code or of scalars."""
     blank = _blank(simulation, states)
-    machine = backend.machine_of(simulation, Tracing(backend.endless(states), blank), traced_tick)
+    kind = SCALAR if simulation.options.backend == SCALAR else C
+    machine = backend.machine_of(simulation, Tracing(backend.endless(states), blank), traced_tick, kind=kind)
     tracing = Tracing(jax.tree.map(np.asarray, states), blank)
     leaves, rows = shared_leaves(simulation), []
     for _ in range(MAX_ROWS):

@@ -1,10 +1,11 @@
-"""Whole segments of batched walks in machine code: `Options(backend="c")`.
+"""Whole segments of batched walks in machine code: `Options(backend="c")`, or as scalars for XLA: `"scalar"`.
 
 The pure tick stays the only source. At the first use of a robot and controller it is traced, compiled and compared with
 what XLA makes of it; later processes find it on disk (`kept`) and compare it with what XLA made of it then.
 """
 
-from collections.abc import Callable, Hashable, Mapping
+import contextlib
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -17,8 +18,10 @@ from jaxbiped import runtime
 from jaxbiped.sim.compile import build, kept
 from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
 from jaxbiped.sim.compile.machine import Code, Machine
+from jaxbiped.sim.compile.program import Program
+from jaxbiped.sim.compile.to_jax import Lanes
 from jaxbiped.sim.compile.trace import Step, is_part, program_of, shared_leaves, tick, trace
-from jaxbiped.sim.options import AUTO, XLA, C, Options, why_not
+from jaxbiped.sim.options import AUTO, SCALAR, XLA, C, Options, why_not
 from jaxbiped.sim.tick import ENDLESS, PureSimulation, State
 
 MOVING, COMPARED, TICKS = 50, 16, 3
@@ -36,7 +39,7 @@ class NotServedError(ValueError):
     """Machine code cannot do a walk: a primitive without a rule, or a use of one."""
 
 
-_machines: dict[Hashable, Machine] = {}
+_machines: dict[tuple[Hashable, str], Machine | Lanes] = {}
 
 
 def serves(options: Options) -> bool:
@@ -59,11 +62,11 @@ def segments(
     Its first call raises:
         ValueError: where there is no C compiler, and where the machine code does not do what XLA's does.
     """
-    leaves, made = shared_leaves(simulation), []
+    leaves, made, kind = shared_leaves(simulation), [], simulation.options.backend
 
     def further(states: State) -> tuple[State, Bool[np.ndarray, " n"]]:
         if not made:
-            made.append(machine_of(simulation, endless(states)))
+            made.append(machine_of(simulation, endless(states), kind=SCALAR if kind == SCALAR else C))
         states = made[0].advance(leaves, states, ticks, runtime.threads())
         return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
 
@@ -76,8 +79,12 @@ def endless(states: State) -> State:
 
 
 def machine_of(
-    shared: Any, states: Any, step: Step = tick, rounding: Mapping[int, float] = ROUNDING
-) -> Machine:
+    shared: Any,
+    states: Any,
+    step: Step = tick,
+    rounding: Mapping[int, float] = ROUNDING,
+    kind: str = C,
+) -> Machine | Lanes:
     """The machine code of a step, made, and compared with XLA's, at its first use.
 
     Args:
@@ -85,11 +92,13 @@ def machine_of(
         states: which are moving some ticks later, to compare from.
         step: what a lane does in a tick.
         rounding: by which its variables may differ from XLA's, as `ROUNDING`.
+        kind: `c` or `scalar`.
     """
     key = _key(shared, states, step)
-    if key not in _machines:
-        _machines[key] = _made(shared, states, step, key[:2], rounding)
-    return _machines[key]
+    if (key, kind) not in _machines:
+        make = _made if kind == C else _made_of_scalars
+        _machines[key, kind] = make(shared, states, step, key[:2], rounding)
+    return _machines[key, kind]
 
 
 def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mapping[int, float]) -> Machine:
@@ -102,15 +111,11 @@ def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mappi
         before, after = (jax.tree.unflatten(tree, each) for each in found.example[1:])
         _require_same(machine.advance(found.example.leaves, before, TICKS), after, rounding)
         return machine
-    runtime.now("tracing the walk for C")
     states = jax.tree.map(np.asarray, states)
-    one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
-    closed = trace(shared, one, step)
-    reals = {leaf.dtype for leaf in jax.tree.leaves(one) if leaf.dtype.kind == "f"}
-    try:
-        code = Code.of(program_of(closed, shared, one), single=np.dtype(np.float64) not in reals)
-    except UnknownPrimitiveError as error:
-        raise NotServedError(f"backend: 'c' cannot do this walk: {error}; allowed: {XLA}") from error
+    reals = {leaf.dtype for leaf in jax.tree.leaves(states) if leaf.dtype.kind == "f"}
+    with _served(C):
+        closed, program = _traced(shared, states, step)
+        code = Code.of(program, single=np.dtype(np.float64) not in reals)
     runtime.now("compiling the walk as C")
     machine = Machine(code)
     runtime.now("comparing C with XLA")
@@ -118,8 +123,38 @@ def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mappi
     return machine
 
 
+def _made_of_scalars(
+    shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mapping[int, float]
+) -> Lanes:
+    """Give XLA the scalars, and compare; XLA's own cache keeps what it compiles."""
+    states = jax.tree.map(np.asarray, states)
+    with _served(SCALAR):
+        closed, program = _traced(shared, states, step)
+        machine = Lanes(program)
+        runtime.now("compiling the walk's scalars, and comparing them with XLA")
+        compare(machine, closed, shared, states, rounding)
+    return machine
+
+
+def _traced(shared: Any, states: Any, step: Step) -> tuple[Any, Program]:
+    """A traced step, and its program."""
+    runtime.now("tracing the walk")
+    one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
+    closed = trace(shared, one, step)
+    return closed, program_of(closed, shared, one)
+
+
+@contextlib.contextmanager
+def _served(kind: str) -> Iterator[None]:
+    """Name the backend that there is no rule for."""
+    try:
+        yield
+    except UnknownPrimitiveError as error:
+        raise NotServedError(f"backend: {kind!r} cannot do this walk: {error}; allowed: {XLA}") from error
+
+
 def compare(
-    machine: Machine,
+    machine: Machine | Lanes,
     closed: Any,
     shared: Any,
     states: Any,

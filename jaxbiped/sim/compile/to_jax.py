@@ -21,6 +21,8 @@ from jaxbiped.sim.compile.program import Level, Program
 Vectors = dict[int, Any]
 """By the numbers of nodes, their values."""
 
+ON_CPU: dict[str, str | int] = {"xla_backend_optimization_level": 0, "xla_disable_hlo_passes": "fusion"}
+"""How a CPU compiles it, where it is of use to check it only: XLA's fusion would take longer than anybody waits."""
 _SAME: dict[str, Callable[..., Any]] = {
     "add": jnp.add, "sub": jnp.subtract, "mul": jnp.multiply, "div": lax.div, "max": jnp.maximum, "min": jnp.minimum,
     "neg": jnp.negative, "abs": jnp.abs, "sign": jnp.sign, "floor": jnp.floor, "ceil": jnp.ceil, "round": jnp.round,
@@ -56,7 +58,8 @@ class Lanes:
         self.program = program
         self.shared = program.kept(Level.SHARED)
         self.tables = sorted({node.param[0] for node in program.order if node.op == TAKE})
-        self._kernel: Any = runtime.jit_arrays(self._advance)
+        hasty = ON_CPU if jax.default_backend() == "cpu" else {}
+        self._kernel: Any = runtime.jit_arrays(self._advance, **hasty)
 
     def advance(self, leaves: list[np.ndarray], states: Any, ticks: int, threads: int = 1) -> Any:
         """The states of all lanes, with a leading axis, so many ticks later; XLA chooses the threads."""

@@ -12,6 +12,7 @@ from jaxbiped.sim.compile.graph import Graph
 from jaxbiped.sim.compile.interpret import ROLLED, scalarise
 from jaxbiped.sim.compile.machine import Code, Machine
 from jaxbiped.sim.compile.program import Program, Word
+from jaxbiped.sim.compile.to_jax import Lanes
 
 
 def program_of(function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED) -> Program:
@@ -54,6 +55,17 @@ def run_c(
     spare = [np.zeros(lanes, word.dtype) for word in program.words[len(given) :]]
     rows = Machine(Code.of(program, single)).advance([], [*given, *spare], 1)
     return _shaped(function, args, rows[len(given) :])
+
+
+def run_lanes(
+    function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED
+) -> list[np.ndarray]:
+    """What comes of the arguments, by XLA from the scalars."""
+    program = program_of(function, args, rolled)
+    outs = jax.tree.leaves(jax.eval_shape(jax.vmap(function), *args))
+    spare = [np.zeros(out.shape, out.dtype) for out in outs]
+    states = Lanes(program).advance([], [*args, *spare], 1)
+    return [np.asarray(leaf).reshape(out.shape) for leaf, out in zip(states[len(args) :], outs, strict=True)]
 
 
 def _shaped(function: Any, args: tuple[np.ndarray, ...], rows: list[np.ndarray]) -> list[np.ndarray]:
