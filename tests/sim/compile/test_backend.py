@@ -288,6 +288,7 @@ def test_a_program_is_found_again_without_tracing(begun, monkeypatch):
     backend._machines.clear()
     monkeypatch.setattr(backend, "trace", no_tracing)
     found = backend.machine_of(*begun)
+    assert isinstance(found, Machine) and isinstance(made, Machine)
     assert found is not made and found.code.text == made.code.text
     # what is the same for all lanes is computed from the numbers of this robot
     leaves = shared_leaves(begun[0])
