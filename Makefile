@@ -26,10 +26,10 @@ FAST := tests/robot tests/kinematics tests/planner tests/score tests/batch tests
 	tests/adapt/test_parameters.py tests/adapt/test_tunables.py --ignore tests/batch/test_kills.py --ignore tests/batch/test_run.py
 
 fast: $(STAMP)  ## Run the tests that compile no whole walk (under four minutes on two cores)
-	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0 $(FAST)
+	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(FAST)
 
 test: $(STAMP)  ## Run the test suite (without the tests marked slow or gpu)
-	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0
+	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 check: $(STAMP)  ## Lint, check the format, check the types
 	$(BIN)/ruff check .

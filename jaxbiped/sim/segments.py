@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbiped import runtime
+from jaxbiped.planner import at
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
-from jaxbiped.sim.options import SCALAR, XLA, C
+from jaxbiped.sim.options import XLA
 from jaxbiped.sim.scenario import Scenario
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
@@ -55,8 +56,7 @@ def _run(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told
     n = len(scenarios.ground.sinkage)
     chosen = backend.chosen(simulation.options, n * ticks * simulation.options.control_every)
     if simulation.options.trace_every:
-        rows_later = _rows_by_xla if chosen == XLA else _rows_in_c
-        return _traced(simulation, scenarios, ticks, told, rows_later)
+        return _traced(simulation, scenarios, ticks, told, chosen)
     lanes = n if lanes is None else min(lanes, n)
     further: Further = partial(_segment, simulation)
     if chosen != XLA:
@@ -110,24 +110,23 @@ def _in_turn(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *walks)
 
 
-def _traced(
-    simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, rows_later: "RowsLater"
-) -> Walk:
+RowsLater = Callable[[PureSimulation, State], tuple[State, Sample | None]]
+"""Function from states to those MAX_ROWS rows of a trace later, and the rows."""
+
+
+def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, chosen: str) -> Walk:
     """Walk all scenarios, each in its own lane, and trace them; the last rows of a trace may stand still."""
     rows = ticks // simulation.options.trace_every
     states = _begin(simulation, scenarios, _count(rows * simulation.options.trace_every))
     parts: list[Sample] = []
     runtime.now(COMPILING)
+    rows_later: RowsLater = _rows_by_xla if chosen == XLA else _rows_in_c(simulation, states)
     for start in range(0, max(rows, 1), MAX_ROWS):
         states, part = rows_later(simulation, states)
         parts.append(jax.tree.map(np.asarray, part))
         told(min(1.0, (start + MAX_ROWS) / max(rows, 1)))
     trace = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1)[:, :rows], *parts)  # on the host
     return _walk(states, trace)
-
-
-RowsLater = Callable[[PureSimulation, State], tuple[State, Sample | None]]
-"""Function from states to those MAX_ROWS rows of a trace later, and the rows."""
 
 
 class Tracing(eqx.Module):
@@ -142,25 +141,25 @@ def traced_tick(simulation: PureSimulation, tracing: Tracing) -> tuple[Tracing, 
     return Tracing(*simulation.tick(tracing.state)), jnp.zeros((), bool)
 
 
-def _rows_in_c(simulation: PureSimulation, states: State) -> tuple[State, Sample]:
-    """The states MAX_ROWS rows later, and the rows; in machine code or of scalars."""
-    blank = _blank(simulation, states)
-    kind = SCALAR if simulation.options.backend == SCALAR else C
-    machine = backend.machine_of(simulation, Tracing(backend.endless(states), blank), traced_tick, kind=kind)
-    tracing = Tracing(jax.tree.map(np.asarray, states), blank)
-    leaves, rows = shared_leaves(simulation), []
-    for _ in range(MAX_ROWS):
-        tracing = machine.advance(leaves, tracing, simulation.options.trace_every, runtime.threads())
-        rows.append(tracing.sample)
-    return tracing.state, jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *rows)
+def _rows_in_c(simulation: PureSimulation, states: State) -> RowsLater:
+    """The same as `_rows_by_xla`, in machine code or of scalars, for walks that begin so."""
+    n, every = len(states.left), simulation.options.trace_every
+    blank = Sample.blank(at(simulation.controller.gait, jnp.zeros((), states.time.dtype)))
+    samples = jax.tree.map(lambda leaf: np.zeros((n, *leaf.shape), leaf.dtype), blank)
+    kind = backend.kind_of(simulation.options)
+    machine = backend.machine_of(
+        simulation, Tracing(backend.endless(states), samples), traced_tick, kind=kind
+    )
+    leaves = shared_leaves(simulation)
 
+    def further(_: PureSimulation, states: State) -> tuple[State, Sample]:
+        tracing, rows = Tracing(states, samples), []
+        for _row in range(MAX_ROWS):
+            tracing = machine.advance(leaves, tracing, every, runtime.threads())
+            rows.append(tracing.sample)
+        return tracing.state, jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *rows)
 
-def _blank(simulation: PureSimulation, states: State) -> Sample:
-    """Samples of nothing, of the types that a tick gives."""
-    one = jax.tree.map(lambda leaf: leaf[0], states)
-    shapes = jax.eval_shape(lambda simulation, state: simulation.tick(state)[1], simulation, one)
-    n = len(states.left)
-    return jax.tree.map(lambda leaf: np.zeros((n, *leaf.shape), leaf.dtype), shapes)
+    return further
 
 
 def _walk(states: State, trace: Sample | None = None) -> Walk:

@@ -37,17 +37,16 @@ def torque(
 ) -> tuple[Float[Array, "2 6"], Float[Array, "2 6"]]:
     """Joint torques [N m] and the damping [N m s/rad] the integrator owes them.
 
+    The torque levels off smoothly below its limit (`saturated`), and the damping with it. Beyond the speed limit the
+    motor cannot push any further: the torque that would speed the joint up fades out over a tenth of the limit.
+
     Args:
         servo: gains and limits.
         reference: at the start of the tick.
-        angle: [rad].
-        speed: [rad/s].
+        angle: at the start of the tick [rad].
+        speed: at the start of the tick [rad/s].
         integral: of the position errors [rad s].
-        ahead: time by which position errors are those to which the speeds at its end lead [s]: 0 for those of the start
-            of the tick, or the tick.
-
-    The torque levels off smoothly below its limit (`saturated`), and the damping with it. Beyond the speed limit the
-    motor cannot push any further: the torque that would speed the joint up fades out over a tenth of the limit.
+        ahead: how long after the start of the tick the position error is that the torque goes by [s]: 0 or the tick.
     """
     wanted_speed = jnp.clip(reference.speed, -servo.speed_limit, servo.speed_limit)
     free = (

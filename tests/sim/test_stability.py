@@ -175,3 +175,19 @@ def test_a_spring_with_one_side_pushes_only_inward(x64):
         force, damping = ground.one_sided_spring(gap, speed, jnp.asarray(100.0), 2.0, 1e-3)
         assert np.all(np.asarray(force) >= 0.0) and np.all(np.asarray(damping) >= 0.0)
         np.testing.assert_array_equal(np.asarray(force)[np.asarray(gap) + 1e-3 * rate > 0.0], 0.0)
+
+
+def test_what_is_implicit_is_one_of_two_and_of_our_own_ground_only():
+    with pytest.raises(ValueError, match="implicit: got 'all', allowed: damping, linear"):
+        Options(implicit="all")
+    message = "implicit: got 'linear', allowed with contact 'c_mujoco': damping"
+    with pytest.raises(ValueError, match=message):
+        Options(implicit=LINEAR, contact="c_mujoco")
+
+
+def test_an_experiment_file_says_what_is_implicit(tmp_path):
+    one = setup("elkahlout")
+    options = Options(dt=2e-3, control_every=1, implicit=LINEAR)
+    made = batch.Experiment(one.params, {"off": Controller(one.gait)}, batch.grid(friction=[0.8]), options)
+    file = batch.write_experiment(tmp_path / "experiment.toml", made)
+    assert 'implicit = "linear"' in file.read_text() and batch.read_experiment(file).options == options

@@ -54,6 +54,11 @@ def chosen(options: Options, ticks: int) -> str:
     return C if ticks >= ENOUGH and serves(options) else XLA
 
 
+def kind_of(options: Options) -> str:
+    """What a program is made into where XLA is not given the tick as it is written: `c` or `scalar`."""
+    return SCALAR if options.backend == SCALAR else C
+
+
 def segments(
     simulation: PureSimulation, ticks: int
 ) -> Callable[[State], tuple[State, Bool[np.ndarray, " n"]]]:
@@ -62,11 +67,11 @@ def segments(
     Its first call raises:
         ValueError: where there is no C compiler, and where the machine code does not do what XLA's does.
     """
-    leaves, made, kind = shared_leaves(simulation), [], simulation.options.backend
+    leaves, made, kind = shared_leaves(simulation), [], kind_of(simulation.options)
 
     def further(states: State) -> tuple[State, Bool[np.ndarray, " n"]]:
         if not made:
-            made.append(machine_of(simulation, endless(states), kind=SCALAR if kind == SCALAR else C))
+            made.append(machine_of(simulation, endless(states), kind=kind))
         states = made[0].advance(leaves, states, ticks, runtime.threads())
         return states, np.asarray(jax.vmap(lambda state: state.stopped)(states))
 
