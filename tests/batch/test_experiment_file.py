@@ -388,6 +388,7 @@ ROUND_TRIPS = {
         "options": sim.Options(dt=1e-3, noise=True, delay_room=3, contact="mjx"),
         "batch": 1,
     },
+    "implicit stiffness": lambda s: {"options": sim.Options(dt=2e-3, control_every=1, implicit="linear")},
     "seed and duration": lambda s: {"seed": 9, "duration": 0.02},
     "durations": lambda s: {
         "variants": {"a b": adapt.Controller(s[1]), "b": adapt.Controller(s[1])},

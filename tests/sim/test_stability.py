@@ -183,11 +183,3 @@ def test_what_is_implicit_is_one_of_two_and_of_our_own_ground_only():
     message = "implicit: got 'linear', allowed with contact 'c_mujoco': damping"
     with pytest.raises(ValueError, match=message):
         Options(implicit=LINEAR, contact="c_mujoco")
-
-
-def test_an_experiment_file_says_what_is_implicit(tmp_path):
-    one = setup("elkahlout")
-    options = Options(dt=2e-3, control_every=1, implicit=LINEAR)
-    made = batch.Experiment(one.params, {"off": Controller(one.gait)}, batch.grid(friction=[0.8]), options)
-    file = batch.write_experiment(tmp_path / "experiment.toml", made)
-    assert 'implicit = "linear"' in file.read_text() and batch.read_experiment(file).options == options
