@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -205,10 +206,11 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: planner.Gait) -> dict[
         "no adaptation": adapt.Controller(gait),
     }
     duration = float(gait.duration) + 0.5
-    return {
-        name: sim.rollout(params, controller, scenario, duration, options)
-        for name, controller in controllers.items()
-    }
+    with ThreadPoolExecutor(
+        len(controllers)
+    ) as pool:  # most of the time goes into compiling, each on its own core
+        one = lambda controller: sim.rollout(params, controller, scenario, duration, options)  # noqa: E731
+        return dict(zip(controllers, pool.map(one, controllers.values()), strict=True))
 
 
 def _draw_obstacles(figures: ModuleType, gait: planner.Gait, walks: Mapping[str, Any]) -> dict[str, Any]:
