@@ -25,7 +25,7 @@ FAST := tests/robot tests/kinematics tests/planner tests/score tests/batch tests
 	tests/test_cli.py tests/test_runtime.py tests/test_variant_files.py tests/test_versions.py tests/adapt/test_controller.py \
 	tests/adapt/test_parameters.py tests/adapt/test_tunables.py --ignore tests/batch/test_kills.py --ignore tests/batch/test_run.py
 
-fast: $(STAMP)  ## Run the tests that compile no whole walk (under four minutes on two cores)
+fast: $(STAMP)  ## Run the tests that compile no whole walk (three to five minutes on two cores)
 	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(FAST)
 
 test: $(STAMP)  ## Run the test suite (without the tests marked slow or gpu)
