@@ -25,7 +25,7 @@ R = TypeVar("R")
 OPTIONS: dict[str, str] = {"xla_cpu_experimental_ynn_fusion_type": ""}
 """On a CPU XLA may give sums and products of a few numbers to a library (YNN), which computes some of them wrongly in
 jaxlib 0.10.2, 0.11.0 and 0.11.1 (jax-ml/jax issue 39103), and whose calls cost more than the arithmetic does: with
-none given to it a tick takes a tenth less (`benchmarks/tick_profile.py`). Other devices take no notice."""
+none given to it a tick takes some percent less (`benchmarks/tick_profile.py`). Other devices take no notice."""
 
 ONE_THREAD = {
     "NPROC": "1",
