@@ -1,15 +1,17 @@
-"""Batched walks on an accelerator: `python benchmarks/gpu.py [--quick] [--seconds S]`, one JSON line a row.
+"""Batched walks on an accelerator: `python benchmarks/gpu.py [--quick]`, one JSON line a row.
 
-Both robots with landing and payload reflex, batches of 1,024 to 262,144, by XLA from the tick as it is written and from
-its scalars (`Options.backend`); a gradient by four tunables; and how far walks here are from the same walks on this
-machine's CPU. Rows are told as they are measured, so that what a limit of time leaves out is the end. Without an
-accelerator it runs on the CPU, where scalars take XLA minutes to compile: then only the tick as it is written.
+`surena3` with landing and payload reflex, `elkahlout` with the reflex, batches of 1,024 to 262,144, by XLA from the tick
+as it is written and from its scalars (`Options.backend`); a gradient by four tunables; and how far walks here are from
+the same walks on this machine's CPU. Rows are told as they are measured, so that what a limit of time leaves out is the
+end. Without an accelerator it runs on the CPU, where scalars take XLA minutes to compile: then only the tick as it is
+written.
 """
 
 import argparse
 import json
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import jaxbiped.runtime  # isort: skip  (before JAX is imported: it sets what XLA reads then)
@@ -22,6 +24,7 @@ import jaxbiped as jb
 from jaxbiped.adapt import Controller, Landing, PayloadReflex
 from jaxbiped.batch import Uniform
 from jaxbiped.sim import Scenario, Simulation, own_options, prepare, segments
+from jaxbiped.sim.compile import backend as scalars
 from jaxbiped.sim.options import SCALAR, XLA
 from jaxbiped.tune import Problem
 from jaxbiped.tune.walks import walk_slopes
@@ -62,12 +65,11 @@ def say(**row: Any) -> None:
 
 
 def simulation(name: str, backend: str) -> Simulation:
-    """A robot with every stage that its gait takes."""
+    """A robot and its stages, in the options of its own paper."""
     robot = jb.robot.load(name)
     gait = jb.planner.own_gait(robot, 6)
     stages = [PayloadReflex.repaired(robot, gait), *([Landing.repaired()] if name == "surena3" else [])]
-    options = own_options(robot, gait)
-    return prepare(robot, Controller(gait, *stages), jb.sim.Options(**{**vars(options), "backend": backend}))
+    return prepare(robot, Controller(gait, *stages), replace(own_options(robot, gait), backend=backend))
 
 
 def scenarios(n: int) -> Scenario:
@@ -97,7 +99,7 @@ def throughput(name: str, backend: str, batches: tuple[int, ...]) -> Iterator[di
         states = segments._begin(one, scenarios(n), jnp.asarray(10**6, jnp.int32))
         further: Callable[[Any], Any] = lambda s: segments._segment(one, s)  # noqa: E731
         if backend == SCALAR:
-            further = segments.backend.segments(one, segments.ticks_of_segment(one))
+            further = scalars.segments(one, segments.ticks_of_segment(one))
         first, best = timed(lambda f=further, s=states: f(s))
         yield {"batch": n, "ticks_per_s": n * ticks / best, "segment_s": best, "first_s": first}
 

@@ -105,7 +105,7 @@ def now(what: str) -> None:
 
 
 def under_way() -> str:
-    """What goes on in this process, in a few words."""
+    """Say in a few words what goes on in this process."""
     return _under_way[0]
 
 

@@ -24,7 +24,8 @@ from jaxbiped.sim.stability import require_stable_dt
 
 MAX_BATCH = 65536
 MAX_LANES = {XLA: 128, C: 256, SCALAR: 65_536}
-"""By backend, most walks at once where nobody says otherwise: more are no faster on a core, or hardly."""
+"""By backend, most walks at once where nobody says otherwise: more are no faster on a core, or hardly, and hardly on a
+GPU, which scalars are for."""
 LANE_STEP = 8
 """Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""
 MAX_TURNS, MIN_CHUNKS = 4, 32

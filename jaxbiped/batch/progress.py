@@ -127,7 +127,7 @@ def _times_file() -> Path:
 
 
 def _times() -> dict[str, float]:
-    """How long things took the last time [s]; nothing where it cannot be read."""
+    """Read how long things took the last time [s]; nothing where it cannot be read."""
     try:
         said = json.loads(_times_file().read_text(encoding="utf-8"))
         return {str(what): float(seconds) for what, seconds in said.items()}

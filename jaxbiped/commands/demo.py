@@ -206,11 +206,13 @@ def _walk_over_obstacles(params: robot.RobotParams, gait: planner.Gait) -> dict[
         "no adaptation": adapt.Controller(gait),
     }
     duration = float(gait.duration) + 0.5
-    with ThreadPoolExecutor(
-        len(controllers)
-    ) as pool:  # most of the time goes into compiling, each on its own core
-        one = lambda controller: sim.rollout(params, controller, scenario, duration, options)  # noqa: E731
-        return dict(zip(controllers, pool.map(one, controllers.values()), strict=True))
+
+    def walk(controller: adapt.Controller) -> sim.Walk:
+        return sim.rollout(params, controller, scenario, duration, options)
+
+    # Side by side, since most of the time goes into compiling, which takes one core each.
+    with ThreadPoolExecutor(len(controllers)) as pool:
+        return dict(zip(controllers, pool.map(walk, controllers.values()), strict=True))
 
 
 def _draw_obstacles(figures: ModuleType, gait: planner.Gait, walks: Mapping[str, Any]) -> dict[str, Any]:

@@ -54,9 +54,14 @@ def run(command: Export) -> dict[str, Any]:
     params = load_robot("--robot", command.robot)
     if command.c:
         return _controller(command, params)
-    given = {"--gait": command.gait, "--steps": command.steps, "--variant": command.variant or None}
-    for name, value in given.items():
-        if value is not None:
+    given = {
+        "--gait": command.gait is not None,
+        "--steps": command.steps is not None,
+        "--variant": bool(command.variant),
+        "--allow-infeasible": command.allow_infeasible,
+    }
+    for name, is_given in given.items():
+        if is_given:
             raise InputError(f"{name}: got a value, allowed: only with --c, for a robot has none")
     out = command.out
     if out.suffix != ".xml":
@@ -79,9 +84,8 @@ def _controller(command: Export, params: robot.RobotParams) -> dict[str, Any]:
     options = sim.own_options(params, gait)
     with batch.waiting("tracing and printing the controller"):
         name = re.sub(r"[^a-z0-9_]", "_", params.name.lower())
-        made = controller_c(
-            params, controller, options, f"{name if name[0].isalpha() else 'robot_' + name}_controller"
-        )
+        name = name if name[0].isalpha() else f"robot_{name}"
+        made = controller_c(sim.prepare(params, controller, options), f"{name}_controller")
     texts = {out / f"{made.name}.c": made.source, out / f"{made.name}.h": made.header}
     _write(texts, command.overwrite)
     stages = [stage.name for stage in controller.stages]

@@ -17,15 +17,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbiped.adapt import Controller, ControllerState, Sensed
-from jaxbiped.robot import JOINT_NAMES, RobotParams, on_device
-from jaxbiped.sim import feed_forward
+from jaxbiped.robot import JOINT_NAMES
 from jaxbiped.sim.compile.program import Program
 from jaxbiped.sim.compile.to_plain_c import Body, literal, type_of
 from jaxbiped.sim.compile.trace import program_of, shared_leaves, trace
-from jaxbiped.sim.feed_forward import FeedForward
-from jaxbiped.sim.options import Options
+from jaxbiped.sim.model import CORNER_NAMES
 from jaxbiped.sim.servo import Reference
-from jaxbiped.sim.tick import servo_reference
+from jaxbiped.sim.tick import PureSimulation, servo_reference
 
 LONG = 24
 """Numbers of an array from which on it may be looked up in, and is a table of its own."""
@@ -48,16 +46,8 @@ class CFiles(NamedTuple):
     source: str
 
 
-class Printed(eqx.Module):
-    """Record of all that is written into the text."""
-
-    robot: RobotParams
-    controller: Controller
-    torque: FeedForward
-
-
 class Tick(eqx.Module):
-    """What goes into a control tick, and what comes out of it."""
+    """Record of all that goes into a control tick and comes out of it."""
 
     state: ControllerState
     sensors: Sensed
@@ -65,21 +55,19 @@ class Tick(eqx.Module):
     status: Int[Array, "2"]
 
 
-def step(printed: Printed, tick: Tick) -> tuple[Tick, Bool[Array, ""]]:
+def step(simulation: PureSimulation, tick: Tick) -> tuple[Tick, Bool[Array, ""]]:
     """One control tick; pure."""
-    state, targets = printed.controller.step(tick.state, tick.sensors)
-    reference, status = servo_reference(printed.robot, targets, printed.torque)
+    state, targets = simulation.controller.step(tick.state, tick.sensors)
+    reference, status = servo_reference(simulation.robot, targets, simulation.torque)
     read = Sensed.nothing(jnp.zeros_like(tick.sensors.time))  # none of them is needed again
     return Tick(state, read, reference, status), jnp.zeros((), bool)
 
 
-def controller_c(robot: RobotParams, controller: Controller, options: Options, name: str) -> CFiles:
-    """Print a controller, in the precision that JAX computes with.
+def controller_c(simulation: PureSimulation, name: str) -> CFiles:
+    """Print the controller of a simulation, in the precision that JAX computes with.
 
     Args:
-        robot: whose inverse kinematics are used.
-        controller: gait and stages.
-        options: of which the control tick and the feed-forward torque count.
+        simulation: of which robot, controller, feed-forward torques and control tick count.
         name: stem of the files' names, and first word of all that they define.
 
     Raises:
@@ -88,13 +76,9 @@ def controller_c(robot: RobotParams, controller: Controller, options: Options, n
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ValueError(f"name: got {name!r}, allowed: small letters, digits and _, a letter first")
-    table = feed_forward.none()
-    if options.feed_forward:
-        table = feed_forward.plan(robot, controller.gait, feed_forward.rows(controller.gait))
-    first = _first(controller)
-    printed = Printed(on_device(robot), controller, table)
-    program = program_of(trace(printed, first, step), printed, first, known=_is_written)
-    return _Printer(name, program, printed, first, options.control_dt).files()
+    first = _first(simulation.controller)
+    program = program_of(trace(simulation, first, step), simulation, first, known=_is_written)
+    return _Printer(name, program, simulation, first).files()
 
 
 def _first(controller: Controller) -> Tick:
@@ -113,9 +97,9 @@ def _is_written(values: np.ndarray) -> np.ndarray:
 class _Printer:
     """Prints one controller."""
 
-    def __init__(self, name: str, program: Program, printed: Printed, first: Tick, control_dt: float):
-        self.name, self.program, self.first, self.control_dt = name, program, first, control_dt
-        self.leaves = shared_leaves(printed)
+    def __init__(self, name: str, program: Program, simulation: PureSimulation, first: Tick):
+        self.name, self.program, self.control_dt = name, program, simulation.options.control_dt
+        self.leaves = shared_leaves(simulation)
         self.paths = [
             (jax.tree_util.keystr(path, simple=True, separator="."), leaf)
             for path, leaf in jax.tree_util.tree_leaves_with_path(first)
@@ -209,7 +193,7 @@ class _Printer:
 /* A walking controller: planner, adaptation and inverse kinematics, for one robot and one walk.
 
    {n}_start once, then {n}_step every {n.upper()}_CONTROL_DT seconds, with what the sensors say.
-   Feet, legs: 0 left, 1 right. Sole corners: front left, front right, rear left, rear right, as in the robot's file.
+   Feet, legs: 0 left, 1 right. Sole corners: {", ".join(CORNER_NAMES)}.
    Joints of a leg: {", ".join(JOINT_NAMES)}. Truths are 0 or 1. */
 #ifndef {guard}
 #define {guard}
@@ -244,7 +228,7 @@ def _member(path: str) -> str:
 
 
 def said_of(module: type) -> dict[str, str]:
-    """What a module's source says of its fields."""
+    """Return what a module's source says of its fields."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(module))).body[0]
     assert isinstance(tree, ast.ClassDef)
     said = {}

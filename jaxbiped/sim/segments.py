@@ -110,7 +110,7 @@ def _in_turn(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *walks)
 
 
-RowsLater = Callable[[PureSimulation, State], tuple[State, Sample | None]]
+RowsLater = Callable[[State], tuple[State, Sample | None]]
 """Function from states to those MAX_ROWS rows of a trace later, and the rows."""
 
 
@@ -120,9 +120,11 @@ def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: T
     states = _begin(simulation, scenarios, _count(rows * simulation.options.trace_every))
     parts: list[Sample] = []
     runtime.now(COMPILING)
-    rows_later: RowsLater = _rows_by_xla if chosen == XLA else _rows_in_c(simulation, states)
+    rows_later: RowsLater = partial(_rows_by_xla, simulation)
+    if chosen != XLA:
+        rows_later = _rows_in_c(simulation, states)
     for start in range(0, max(rows, 1), MAX_ROWS):
-        states, part = rows_later(simulation, states)
+        states, part = rows_later(states)
         parts.append(jax.tree.map(np.asarray, part))
         told(min(1.0, (start + MAX_ROWS) / max(rows, 1)))
     trace = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1)[:, :rows], *parts)  # on the host
@@ -152,7 +154,7 @@ def _rows_in_c(simulation: PureSimulation, states: State) -> RowsLater:
     )
     leaves = shared_leaves(simulation)
 
-    def further(_: PureSimulation, states: State) -> tuple[State, Sample]:
+    def further(states: State) -> tuple[State, Sample]:
         tracing, rows = Tracing(states, samples), []
         for _row in range(MAX_ROWS):
             tracing = machine.advance(leaves, tracing, every, runtime.threads())

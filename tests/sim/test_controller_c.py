@@ -14,8 +14,7 @@ import pytest
 from jaxbiped import cli, robot, runtime
 from jaxbiped.adapt import Controller, Landing, PayloadReflex, PlannedStage, Sensed, Stage
 from jaxbiped.planner import own_gait
-from jaxbiped.robot import on_device
-from jaxbiped.sim import Scenario, feed_forward, own_options, prepare
+from jaxbiped.sim import Scenario, own_options, prepare
 from jaxbiped.sim.compile import build
 from jaxbiped.sim.controller_c import CFiles, controller_c, said_of
 from jaxbiped.sim.servo import Reference
@@ -94,14 +93,14 @@ def recorded(simulation, scenario, ticks: int):
 
 
 @runtime.jit
-def led(params, controller, torque, sensors: Sensed) -> Reference:
+def led(simulation, sensors: Sensed) -> Reference:
     """References by JAX for a history of readings."""
 
     def tick(state, sensed):
-        state, targets = controller.step(state, sensed)
-        return state, servo_reference(params, targets, torque)[0]
+        state, targets = simulation.controller.step(state, sensed)
+        return state, servo_reference(simulation.robot, targets, simulation.torque)[0]
 
-    return jax.lax.scan(tick, controller.init(), sensors)[1]
+    return jax.lax.scan(tick, simulation.controller.init(), sensors)[1]
 
 
 def test_a_whole_walk_with_an_obstacle_and_a_payload(tmp_path):
@@ -117,7 +116,7 @@ def test_a_whole_walk_with_an_obstacle_and_a_payload(tmp_path):
     assert not bool(end.record.failed)
     assert int(state.stages["payload"].reflexes) >= 1, "the load was felt"
     assert float(np.ptp(np.asarray(reference.angle)[:, :, 3], axis=0).min()) > 0.3, "it walks"
-    files = controller_c(params, Controller(gait, *stages), options, "walk")
+    files = controller_c(prepare(params, Controller(gait, *stages), options), "walk")
     angle, speed, torque = InC(files, tmp_path).run(sensors)
     difference = np.abs(angle - np.asarray(reference.angle))
     assert difference.max() < 1e-5, f"rad, in tick {difference.max(axis=(1, 2)).argmax()} of {ticks}"
@@ -157,11 +156,9 @@ def test_any_history_of_readings(name, kind, tmp_path, x64):
         sensors,
         (closed, jnp.where(since < 0.0, jnp.inf, since), jnp.maximum(force, 0.0), 1e-4 * force[:, 0, :2]),
     )
-    table = feed_forward.none()
-    if options.feed_forward:
-        table = feed_forward.plan(on_device(params), gait, feed_forward.rows(gait))
-    theirs = led(on_device(params), controller, table, sensors)
-    ours = InC(controller_c(params, controller, options, "walk"), tmp_path).run(sensors)
+    one = prepare(params, controller, options)
+    theirs = led(one, sensors)
+    ours = InC(controller_c(one, "walk"), tmp_path).run(sensors)
     for mine, his in zip(ours, jax.tree.leaves(theirs), strict=True):
         np.testing.assert_allclose(mine, his, atol=1e-9)
 
@@ -177,7 +174,7 @@ def test_a_name_that_is_none_in_c_is_refused(name):
     params = robot.load("elkahlout")
     gait = own_gait(params, 4)
     with pytest.raises(ValueError, match=r"name: got .*, allowed: small letters"):
-        controller_c(params, Controller(gait), own_options(params, gait), name)
+        controller_c(prepare(params, Controller(gait), own_options(params, gait)), name)
 
 
 def test_the_command_writes_both_files_and_replaces_no_others(tmp_path, capsys):
@@ -206,7 +203,9 @@ def test_the_command_writes_both_files_and_replaces_no_others(tmp_path, capsys):
     assert Path(result["files"][1]).read_text() == "mine"
 
 
-@pytest.mark.parametrize("more", [("--steps", "4"), ("--variant", "modified"), ("--gait", "cosine")])
+@pytest.mark.parametrize(
+    "more", [("--steps", "4"), ("--variant", "modified"), ("--gait", "cosine"), ("--allow-infeasible",)]
+)
 def test_a_robot_for_mujoco_has_no_gait(more, tmp_path, capsys):
     assert (
         cli.main(["export", "--robot", "elkahlout", "--out", str(tmp_path / "x.xml"), *more]) == cli.BAD_INPUT

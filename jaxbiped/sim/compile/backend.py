@@ -55,7 +55,7 @@ def chosen(options: Options, ticks: int) -> str:
 
 
 def kind_of(options: Options) -> str:
-    """What a program is made into where XLA is not given the tick as it is written: `c` or `scalar`."""
+    """Name what a program is made into where XLA is not given the tick as it is written: `c` or `scalar`."""
     return SCALAR if options.backend == SCALAR else C
 
 
@@ -101,8 +101,12 @@ def machine_of(
     """
     key = _key(shared, states, step)
     if (key, kind) not in _machines:
-        make = _made if kind == C else _made_of_scalars
-        _machines[key, kind] = make(shared, states, step, key[:2], rounding)
+        made: Machine | Lanes
+        if kind == SCALAR:
+            made = _made_of_scalars(shared, states, step, rounding)
+        else:
+            made = _made(shared, states, step, key[:2], rounding)
+        _machines[key, kind] = made
     return _machines[key, kind]
 
 
@@ -128,9 +132,7 @@ def _made(shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mappi
     return machine
 
 
-def _made_of_scalars(
-    shared: Any, states: Any, step: Step, parts: Hashable, rounding: Mapping[int, float]
-) -> Lanes:
+def _made_of_scalars(shared: Any, states: Any, step: Step, rounding: Mapping[int, float]) -> Lanes:
     """Give XLA the scalars, and compare; XLA's own cache keeps what it compiles."""
     states = jax.tree.map(np.asarray, states)
     with _served(SCALAR):

@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from jaxbiped import runtime
 from jaxbiped.sim.compile.evaluate import evaluate, value_of
-from jaxbiped.sim.compile.graph import AFTER, CARRY, INPUT, TAKE, Node, Scalar
+from jaxbiped.sim.compile.graph import AFTER, CARRY, INPUT, TAKE, Loop, Node, Scalar
 from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
 from jaxbiped.sim.compile.program import Level, Program
 
@@ -56,7 +56,10 @@ class Lanes:
 
     def __init__(self, program: Program):
         self.program = program
-        self.shared = program.kept(Level.SHARED)
+        self.shared: dict[str, list[Node]] = {}
+        """What is the same for all lanes, by type."""
+        for node in program.kept(Level.SHARED):
+            self.shared.setdefault(node.dtype.char, []).append(node)
         self.tables = sorted({node.param[0] for node in program.order if node.op == TAKE})
         hasty = ON_CPU if jax.default_backend() == "cpu" else {}
         self._kernel: Any = runtime.jit_arrays(self._advance, **hasty)
@@ -66,30 +69,35 @@ class Lanes:
         each, tree = jax.tree.flatten(states)
         values: Vectors = {}
         evaluate(self.program.at(Level.SHARED), values, lambda leaf: leaves[leaf].reshape(-1))
-        shared = [np.asarray(values[node.number], node.dtype) for node in self.shared]
+        shared = {
+            kind: np.array([values[node.number] for node in nodes], kind)
+            for kind, nodes in self.shared.items()
+        }
         tables = [leaves[leaf].reshape(-1) for leaf in self.tables]
-        return jax.tree.unflatten(tree, self._kernel(_stacked(shared), tables, each, ticks))
+        return jax.tree.unflatten(tree, self._kernel(shared, tables, each, ticks))
 
     def _advance(
         self, shared: dict[str, Array], tables: list[Array], each: list[Array], ticks: Array
     ) -> list[Array]:
-        program, places = self.program, self._places()
-        known: Vectors = {n.number: shared[kind][i] for n, (kind, i) in zip(self.shared, places, strict=True)}
+        program, lanes = self.program, each[0].shape[0]
+        known: Vectors = {
+            node.number: shared[kind][i]
+            for kind, nodes in self.shared.items()
+            for i, node in enumerate(nodes)
+        }
         given = dict(zip(self.tables, tables, strict=True))
-        lanes = each[0].shape[0]
         flat = [leaf.reshape(lanes, -1) for leaf in each]
         first = min(word.leaf for word in program.words)
         words = [flat[word.leaf - first][:, word.element] for word in program.words]
-        place = {word.place: words[i] for i, word in enumerate(program.words)}
-        self._compute(program.at(Level.LANE), known, given, place)
+        place = {word.place: value for word, value in zip(program.words, words, strict=True)}
+        _compute(program.at(Level.LANE), known, given, place)
         changing = program.changing
 
         def tick(_: Array, moving: list[Array]) -> list[Array]:
-            now = dict(known)
             inside = {program.words[i].place: value for i, value in zip(changing, moving, strict=True)}
-            self._tick(now, given, place | inside)
+            now = self._tick(known, given, place | inside)
             return [
-                jnp.broadcast_to(value_of(program.after[i], now), (lanes,)).astype(old.dtype)
+                _full(program.after[i], now, lanes, old.dtype)
                 for i, old in zip(changing, moving, strict=True)
             ]
 
@@ -98,85 +106,58 @@ class Lanes:
             words[i] = value
         out, at = [], 0
         for leaf in each:
-            size = int(np.prod(leaf.shape[1:], dtype=int))
+            size = leaf[0].size
             out.append(jnp.stack(words[at : at + size], axis=1).reshape(leaf.shape) if size else leaf)
             at += size
         return out
 
-    def _tick(self, now: Vectors, given: dict[int, Array], place: dict[Any, Array]) -> None:
+    def _tick(self, known: Vectors, given: dict[int, Array], place: dict[Any, Array]) -> Vectors:
         """All nodes of a tick."""
-        program = self.program
-        self._compute(program.at(Level.TICK, 0), now, given, place)
+        program, now = self.program, dict(known)
+        _compute(program.at(Level.TICK, 0), now, given, place)
         for loop in program.graph.loops:
-            number = loop.number
-            carried = {n.param[1]: n for n in program.order if n.op == CARRY and n.param[0] == number}
-            left = [n for n in program.order if n.op == AFTER and n.param[0] == number]
-            rows = sorted({n.param[1] for n in left if n.param[1] >= len(loop.start)})
-            body = program.at(Level.TICK, 2 * number + 1)
-            lanes = next(iter(place.values())).shape
+            now |= self._loop(loop, now, given, place)
+            _compute(program.at(Level.TICK, 2 * loop.number + 2), now, given, place)
+        return now
 
-            def once(
-                before: tuple[list[Array], list[Array]],
-                body: list[Node] = body,
-                carried: dict[int, Node] = carried,
-                rows: list[int] = rows,
-                loop: Any = loop,
-            ) -> tuple[list[Array], list[Array]]:
-                inside = dict(now)
-                for (_, node), value in zip(carried.items(), before[0], strict=True):
-                    inside[node.number] = value
-                self._compute(body, inside, given, place)
+    def _loop(self, loop: Loop, now: Vectors, given: dict[int, Array], place: dict[Any, Array]) -> Vectors:
+        """What a loop leaves behind."""
+        program, first_row = self.program, len(loop.start)
+        lanes = len(next(iter(place.values())))
+        carried = [n for n in program.order if n.op == CARRY and n.param[0] == loop.number]
+        left = [n for n in program.order if n.op == AFTER and n.param[0] == loop.number]
+        rows = [n for n in left if n.param[1] >= first_row]
+        body = program.at(Level.TICK, 2 * loop.number + 1)
 
-                def full(scalar: Scalar, like: Array) -> Array:
-                    return jnp.broadcast_to(value_of(scalar, inside), like.shape).astype(like.dtype)
+        def once(_: Array, before: tuple[list[Array], list[Array]]) -> tuple[list[Array], list[Array]]:
+            inside = now | {node.number: value for node, value in zip(carried, before[0], strict=True)}
+            _compute(body, inside, given, place)
+            new = [_full(loop.next[n.param[1]], inside, lanes, n.dtype) for n in carried]
+            return new, [_full(loop.rows[n.param[1] - first_row], inside, lanes, n.dtype) for n in rows]
 
-                new = [full(loop.next[i], old) for i, old in zip(carried, before[0], strict=True)]
-                last = [
-                    full(loop.rows[i - len(loop.start)], old) for i, old in zip(rows, before[1], strict=True)
-                ]
-                return new, last
-
-            kinds = {n.param[1]: n.dtype for n in left}
-            begin = (
-                [
-                    jnp.broadcast_to(value_of(loop.start[i], now), lanes).astype(n.dtype)
-                    for i, n in carried.items()
-                ],
-                [jnp.zeros(lanes, kinds[i]) for i in rows],
-            )
-            ended = lax.fori_loop(0, loop.length, lambda _, b, once=once: once(b), begin)
-            after = dict(zip(carried, ended[0], strict=True)) | dict(zip(rows, ended[1], strict=True))
-            for node in left:
-                now[node.number] = after[node.param[1]]
-            self._compute(program.at(Level.TICK, 2 * number + 2), now, given, place)
-
-    def _compute(
-        self, nodes: list[Node], values: Vectors, given: dict[int, Array], place: dict[Any, Array]
-    ) -> None:
-        """Compute nodes in order."""
-        for node in nodes:
-            if node.op in (CARRY, AFTER) or node.number in values:
-                continue
-            if node.op == INPUT:
-                values[node.number] = place[node.param]
-            elif node.op == TAKE:
-                leaf, first, step, _ = node.param
-                values[node.number] = given[leaf][first + step * value_of(node.args[0], values)]
-            else:
-                args = [value_of(arg, values) for arg in node.args]
-                values[node.number] = operation(node.op, node.dtype, args)
-
-    def _places(self) -> list[tuple[str, int]]:
-        """Where the shared numbers stand in `_stacked`."""
-        counts: dict[str, int] = {}
-        places = []
-        for node in self.shared:
-            places.append((node.dtype.char, counts.get(node.dtype.char, 0)))
-            counts[node.dtype.char] = counts.get(node.dtype.char, 0) + 1
-        return places
+        begin = [_full(loop.start[n.param[1]], now, lanes, n.dtype) for n in carried]
+        ended = lax.fori_loop(0, loop.length, once, (begin, [jnp.zeros(lanes, n.dtype) for n in rows]))
+        after = {
+            n.param[1]: value for n, value in zip([*carried, *rows], [*ended[0], *ended[1]], strict=True)
+        }
+        return {n.number: after[n.param[1]] for n in left}
 
 
-def _stacked(values: list[np.ndarray]) -> dict[str, np.ndarray]:
-    """Numbers by their types."""
-    kinds = {value.dtype.char for value in values}
-    return {kind: np.array([v for v in values if v.dtype.char == kind]) for kind in sorted(kinds)}
+def _full(scalar: Scalar, values: Vectors, lanes: int, dtype: np.dtype) -> Array:
+    """A value for every lane."""
+    return jnp.broadcast_to(value_of(scalar, values), (lanes,)).astype(dtype)
+
+
+def _compute(nodes: list[Node], values: Vectors, given: dict[int, Array], place: dict[Any, Array]) -> None:
+    """Compute nodes in order, as `evaluate.evaluate` does."""
+    for node in nodes:
+        if node.op in (CARRY, AFTER) or node.number in values:
+            continue
+        if node.op == INPUT:
+            values[node.number] = place[node.param]
+        elif node.op == TAKE:
+            leaf, first, step, _ = node.param
+            values[node.number] = given[leaf][first + step * value_of(node.args[0], values)]
+        else:
+            args = [value_of(arg, values) for arg in node.args]
+            values[node.number] = operation(node.op, node.dtype, args)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax import lax
 from scalars import run_lanes
-from test_rules import AT, CASES, X, drawn
+from test_rules import AT, X, all_of_them, drawn
 
 from jaxbiped.sim.compile.interpret import UnknownPrimitiveError
 from jaxbiped.sim.compile.to_jax import operation
@@ -18,15 +18,8 @@ RANDOM = np.random.default_rng(4)
 
 def test_all_rules_together_in_double(x64: None):
     """One program of all cases, so that XLA runs once."""
-    kept = {name: case for name, case in CASES.items() if case[1][0].dtype.kind in "fbi"}
-    args = tuple(arg for _, args in kept.values() for arg in args)
-
-    def all_of_them(*given: Any) -> list[Any]:
-        left = list(given)
-        return [function(*[left.pop(0) for _ in args]) for function, args in kept.values()]
-
-    want = jax.tree.leaves(jax.vmap(all_of_them)(*args))
-    got = run_lanes(all_of_them, args)
+    function, args, want = all_of_them()
+    got = run_lanes(function, args)
     assert len(got) == len(want) > 50
     for a, b in zip(got, want, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
