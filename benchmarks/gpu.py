@@ -1,10 +1,10 @@
 """Batched walks on an accelerator: `python benchmarks/gpu.py [--quick]`, one JSON line a row.
 
-`surena3` with landing and payload reflex, `elkahlout` with the reflex, batches of 1,024 to 262,144, by XLA from the tick
-as it is written and from its scalars (`Options.backend`); a gradient by four tunables; and how far walks here are from
-the same walks on this machine's CPU. Rows are told as they are measured, so that what a limit of time leaves out is the
-end. Without an accelerator it runs on the CPU, where scalars take XLA minutes to compile: then only the tick as it is
-written.
+`surena3` with landing and payload reflex, `elkahlout` with the reflex, batches of 1,024 to 262,144, by XLA from the
+tick as it is written and from its scalars (`Options.backend`); a gradient by four tunables; and how far walks here are
+from the same walks on this machine's CPU. Rows are told as they are measured, so that what a limit of time leaves out
+is the end. Without an accelerator it runs on the CPU, where scalars take XLA long to compile: then only the tick as it
+is written.
 """
 
 import argparse

@@ -5,6 +5,7 @@ All in one file, so that one process makes the machine code for all of it.
 
 import dataclasses
 import shutil
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -19,6 +20,8 @@ from jaxbiped.sim import Options, Scenario, Simulation, prepare, segments
 from jaxbiped.sim.compile import backend, kept
 from jaxbiped.sim.compile.evaluate import evaluate
 from jaxbiped.sim.compile.machine import Code, Machine
+from jaxbiped.sim.compile.program import Program
+from jaxbiped.sim.compile.to_jax import Lanes
 from jaxbiped.sim.compile.trace import program_of, shared_leaves, tick, trace
 from jaxbiped.sim.tick import State
 
@@ -57,8 +60,8 @@ def moving(states: State, duration: float) -> State:
     return eqx.tree_at(lambda s: (s.physics.qvel, s.physics.tick, s.record.statistics.status), states, new)
 
 
-@pytest.mark.parametrize("name", ["elkahlout", "surena3"])
-def test_a_tick_from_random_moving_states_in_double(name: str, x64: None):
+def in_double(name: str, make: Callable[[Program], Machine | Lanes]) -> None:
+    """Compare a tick from random moving states in double precision with XLA's."""
     one = simulation(name)
     states = segments._begin(one, scenarios(LANES), jnp.asarray(1000, jnp.int32))
     states = moving(states, float(one.controller.gait.duration))
@@ -66,9 +69,8 @@ def test_a_tick_from_random_moving_states_in_double(name: str, x64: None):
     closed = trace(one, shapes)
     program = program_of(closed, one, shapes)
     assert len(program.order) < MOST_OPERATIONS[name]
-    machine = Machine(Code.of(program, single=False))
     leaves = shared_leaves(one)
-    got, want = machine.advance(leaves, states, 1), backend._by_xla(closed, leaves)(states)
+    got, want = make(program).advance(leaves, states, 1), backend._by_xla(closed, leaves)(states)
     assert np.asarray(got.physics.tick != states.physics.tick).mean() > 0.5  # they do move
     for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(got), jax.tree.leaves(want), strict=True):
         b, where = np.asarray(b), jax.tree_util.keystr(path)
@@ -79,14 +81,26 @@ def test_a_tick_from_random_moving_states_in_double(name: str, x64: None):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10 * size, err_msg=where)
 
 
+@pytest.mark.parametrize("name", ["elkahlout", "surena3"])
+def test_a_tick_from_random_moving_states_in_double(name: str, x64: None):
+    in_double(name, lambda program: Machine(Code.of(program, single=False)))
+
+
 @pytest.mark.slow
-def test_scalars_given_to_xla_walk_as_c_does(in_c: Simulation):
-    """And are compared with the plain tick at their first use, which takes XLA minutes on a CPU."""
+@pytest.mark.parametrize("name", ["elkahlout", "surena3"])
+def test_scalars_given_to_xla_tick_as_it_does_in_double(name: str, x64: None):
+    """XLA takes minutes to compile so many operations on a CPU."""
+    in_double(name, Lanes)
+
+
+@pytest.mark.slow
+def test_scalars_given_to_xla_walk(in_c: Simulation):
+    """By their option, compared with the plain tick at their first use; as near to walks in C as these to XLA's."""
     batch, scalar = scenarios(16), simulation("elkahlout", backend="scalar")
     ours, theirs = (one.run_many(batch, 0.05).statistics for one in (scalar, in_c))
-    for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
-        size = max(1.0, np.abs(np.asarray(b)[np.isfinite(b)]).max(initial=0.0))
-        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-4 * size, err_msg=jax.tree_util.keystr(path))
+    assert float(np.max(ours.end_time)) > 0.045
+    name, odd = backend.worst(ours, theirs)
+    assert odd == 0.0, name
 
 
 @pytest.fixture(scope="module")
