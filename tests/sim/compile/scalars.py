@@ -1,11 +1,15 @@
 """Small functions as programs: a lane for every row of their arguments."""
 
+import ctypes
+import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxbiped.sim.compile import build
 from jaxbiped.sim.compile.arrays import filled
 from jaxbiped.sim.compile.evaluate import one_tick
 from jaxbiped.sim.compile.graph import Graph
@@ -13,6 +17,7 @@ from jaxbiped.sim.compile.interpret import ROLLED, scalarise
 from jaxbiped.sim.compile.machine import Code, Machine
 from jaxbiped.sim.compile.program import Program, Word
 from jaxbiped.sim.compile.to_jax import Lanes
+from jaxbiped.sim.compile.to_plain_c import Body, type_of
 
 
 def program_of(function: Callable[..., Any], args: tuple[np.ndarray, ...], rolled: int = ROLLED) -> Program:
@@ -78,3 +83,41 @@ def _shaped(function: Any, args: tuple[np.ndarray, ...], rows: list[np.ndarray])
         )
         at += size
     return out
+
+
+def run_plain_c(function: Callable[..., Any], args: tuple[np.ndarray, ...], folder: Path) -> list[np.ndarray]:
+    """What comes of the arguments, by plain C of one lane, compiled in a folder."""
+    program = program_of(function, args)
+    row = {word.place: i for i, word in enumerate(program.words)}
+    kind = {word.place: type_of(word.dtype) for word in program.words}
+    body = Body(program, lambda *place: f"({kind[place]})in[{row[place]}]", lambda leaf: f"table{leaf}")
+    lines = list(body.lines())
+    outs = [f"  out[{i}] = {body.operand(new)};" for i, new in enumerate(program.after)]
+    head = ["#include <math.h>", f"typedef {'float' if body.single else 'double'} real;", body.helping()]
+    text = [*head, "void run(const double *in, double *out) {", *lines, *outs, "}", ""]
+    number = len(
+        list(folder.iterdir())
+    )  # another name each time: a library that is loaded must not be replaced
+    source, made = folder / f"run{number}.c", folder / f"run{number}.so"
+    source.write_text("\n".join(text))
+    command = [
+        build.compiler(),
+        "-std=c99",
+        "-Wall",
+        "-Werror",
+        "-shared",
+        "-fPIC",
+        source,
+        "-o",
+        made,
+        "-lm",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    run = ctypes.CDLL(str(made)).run
+    lanes = np.concatenate([arg.reshape(len(arg), -1) for arg in args], axis=1).astype(np.float64)
+    lanes = np.pad(lanes, ((0, 0), (0, len(program.words) - lanes.shape[1])))
+    after = np.zeros_like(lanes)
+    for before, new in zip(lanes, after, strict=True):
+        run(before.ctypes, new.ctypes)
+    return _shaped(function, args, list(after.T)[sum(arg[0].size for arg in args) :])
