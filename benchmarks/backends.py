@@ -14,7 +14,6 @@ CORE = common.use_one_core()  # before JAX is imported
 
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
 
 from jaxbiped import planner, robot, sim  # noqa: E402
 from jaxbiped.adapt import Controller  # noqa: E402
@@ -58,7 +57,7 @@ def measure(name: str, lanes: list[int]) -> str:
 def begun(simulation: sim.Simulation, n: int) -> Any:
     """States at the start of walks."""
     scenarios = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (n, *leaf.shape)), sim.Scenario.flat())
-    return jax.tree.map(np.asarray, segments._begin(simulation, scenarios, jnp.asarray(10**6, jnp.int32)))
+    return segments.begun(simulation, scenarios, 10**6)
 
 
 def prepared(simulation: sim.Simulation) -> tuple[Machine, str]:

@@ -96,7 +96,7 @@ def throughput(name: str, backend: str, batches: tuple[int, ...]) -> Iterator[di
     one = simulation(name, backend)
     ticks = segments.ticks_of_segment(one) * one.options.control_every
     for n in batches:
-        states = segments._begin(one, scenarios(n), jnp.asarray(10**6, jnp.int32))
+        states = segments.begun(one, scenarios(n), 10**6)
         further: Callable[[Any], Any] = lambda s: segments._segment(one, s)  # noqa: E731
         if backend == SCALAR:
             further = scalars.segments(one, segments.ticks_of_segment(one))

@@ -237,7 +237,7 @@ def closed_loop(name: str, n: int, size: Size) -> dict[str, float]:
 def machine_code(name: str, n: int, ticks: int) -> tuple[Callable[[], Any], float]:
     """The closed loop of n scenarios in C: a call that walks so many ticks, and how long it took to be ready [s]."""
     one = setup(name).simulation
-    states = jax.tree.map(np.asarray, segments._begin(one, scenarios(n), jnp.asarray(10**6, jnp.int32)))
+    states = segments.begun(one, scenarios(n), 10**6)
     began = time.perf_counter()
     machine, leaves = backend.machine_of(one, states), trace.shared_leaves(one)
     seconds = time.perf_counter() - began

@@ -16,11 +16,15 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import platformdirs
 from jax.core import Tracer
+from jaxtyping import PyTree
 
 P = ParamSpec("P")
 R = TypeVar("R")
+OnHost = Any
+"""A tree of NumPy arrays."""
 
 OPTIONS: dict[str, str] = {"xla_cpu_experimental_ynn_fusion_type": ""}
 """On a CPU XLA may give sums and products of a few numbers to a library (YNN), which computes some of them wrongly in
@@ -64,6 +68,18 @@ def jit_arrays(function: Callable[..., R], **more: str | int) -> Callable[..., R
     """Compile a function of arrays alone with `OPTIONS` and `more`: what `jit` asks at every call is not asked."""
     made: Any = jax.jit(function, compiler_options={**options(), **more})
     return made
+
+
+def in_blocks(function: Callable[..., PyTree], block: int, *arguments: PyTree) -> OnHost:
+    """A compiled function of arguments with a leading axis, called with `block` of them at a time; on the host.
+
+    The last one fills the last block, so that one program serves any number.
+    """
+    arguments = jax.tree.map(np.asarray, arguments)
+    n = len(jax.tree.leaves(arguments)[0])
+    rows = np.minimum(np.arange(n + -n % block), n - 1).reshape(-1, block)
+    parts = [function(*jax.tree.map(lambda leaf, few=few: leaf[few], arguments)) for few in rows]
+    return jax.tree.map(lambda *few: np.concatenate(few)[:n], *parts)
 
 
 @functools.cache

@@ -147,7 +147,7 @@ def with_pads(scenario: Scenario, params: robot.RobotParams, gait: Any, rng: np.
         Refusal: if two of them overlap.
     """
     highest = min(HIGHEST, CLEARED * swing_height(gait))
-    steps = rng.choice(gait.timing.n_steps, rng.integers(0, 3), replace=False)
+    steps = rng.choice(int(gait.timing.n_steps), rng.integers(0, 3), replace=False)
     pads: list[tuple[np.ndarray, np.ndarray]] = []
     for step in steps.tolist():
         height = rng.uniform(-highest, highest)

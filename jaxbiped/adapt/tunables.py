@@ -207,7 +207,7 @@ def other_gait(
         return gait
     own = [as_scalar(value) for value in new.values()]
     params = eqx.tree_at(lambda p: [attrgetter(name)(p) for name in new], gait.params, own)
-    return type(gait).make(robot, params, gait.n_steps, gait.first_swing, allow_infeasible=allow_infeasible)
+    return gait.replanned(robot, params, allow_infeasible=allow_infeasible)
 
 
 def _of_gait(name: str, controller: Controller) -> Tunable:

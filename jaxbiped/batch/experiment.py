@@ -121,7 +121,7 @@ class Experiment:
     def _require_walkable(self, name: str, variant: Controller) -> None:
         """Refuse obstacles that the swing foot runs into, or that it stands in at the start."""
         highest = {step: float(self.table[inputs.height_column(step)].max()) for step in self.steps}  # type: ignore[arg-type]
-        own = {step: height for step, height in highest.items() if step < variant.gait.timing.n_steps}
+        own = {step: height for step, height in highest.items() if step < int(variant.gait.timing.n_steps)}
         try:
             require_swing_clears(variant.gait, own)
             require_clear_start(self.robot, variant.gait, inputs.terrain_extremes(self.table, self.pads))

@@ -80,9 +80,9 @@ def _gait(experiment: Experiment, lacking: list[str]) -> dict[str, Any]:
         again = defaults.plan(
             experiment.robot,
             kind,
-            gait.n_steps,
+            int(gait.n_steps),
             numbers,
-            first_swing=gait.first_swing,
+            first_swing=int(gait.first_swing),
             allow_infeasible=True,
         )
         if not variants.same(again, gait):
@@ -92,8 +92,8 @@ def _gait(experiment: Experiment, lacking: list[str]) -> dict[str, Any]:
         return {}
     return {
         "kind": kind,
-        "steps": gait.n_steps,
-        "first_swing": SIDE_NAMES[gait.first_swing],
+        "steps": int(gait.n_steps),
+        "first_swing": SIDE_NAMES[int(gait.first_swing)],
         "allow_infeasible": True,
         "parameters": variants.nested(numbers),
     }

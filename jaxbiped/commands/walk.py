@@ -194,7 +194,7 @@ def _result(told: Told) -> dict[str, Any]:
     return {
         "robot": setup.robot.name,
         "gait": setup.gait_name,
-        "steps": setup.gait.timing.n_steps,
+        "steps": int(setup.gait.timing.n_steps),
         "planned_s": round(float(setup.gait.duration), 4),
         "constraints_broken": broken(setup.robot, setup.gait),
         "simulated_s": round(setup.duration, 4),
@@ -268,7 +268,7 @@ def _draw(figures: ModuleType, told: Told) -> dict[str, Any]:
     setup = told.setup
     full = figures.thin(told.walk.trace, 1)
     trace, nominal = figures.thin(full, DRAWN_EVERY), _thin(told.nominal, len(full.time))
-    what = walk_words.heading(setup.robot.name, setup.gait_name, setup.gait.timing.n_steps)
+    what = walk_words.heading(setup.robot.name, setup.gait_name, int(setup.gait.timing.n_steps))
     time, phase, measured = trace.time, trace.targets.phase, figures.measured_task(trace)
     load = setup.load
     load_time, load_end = (None, None) if load is None else (load.time, load.end)

@@ -211,7 +211,7 @@ def _number(argument: str, got: str, form: str, text: str, kind: Callable[[str],
 def _obstacles(words: Iterable[str], gait: Gait) -> list[Obstacle]:
     """Read obstacles, STEP:HEIGHT, each step once, at most as high as the swing foot goes."""
     form = "STEP:HEIGHT, a whole number and meters, such as 3:0.03 or 4:-0.02"
-    last = gait.timing.n_steps - 1
+    last = int(gait.timing.n_steps) - 1
     found: dict[int, Obstacle] = {}
     for word in words:
         parts = word.split(":")

@@ -6,6 +6,7 @@ out by a factor of 4 or more from step to step, so that of a long walk only the 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import numpy as np
@@ -15,7 +16,7 @@ from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.checks import GaitError
-from jaxbiped.planner.feasibility import Feasibility, in_blocks, judged
+from jaxbiped.planner.feasibility import BLOCK, Feasibility, in_blocks, judged
 from jaxbiped.planner.targets import Plan, Targets, TaskSpace, at
 from jaxbiped.robot import JOINT_NAMES, KNEE, SIDE_NAMES, RobotParams
 
@@ -101,8 +102,8 @@ class _Sampled:
     @classmethod
     def of(cls, robot: RobotParams, gait: Plan) -> "_Sampled":
         time, step = _times(gait)
-        targets = jax.tree.map(np.asarray, _targets(gait, time))
-        return cls(robot, time, step, targets, gait.timing.n_steps)
+        targets = runtime.in_blocks(partial(_targets, gait), BLOCK, time)
+        return cls(robot, time, step, targets, int(gait.timing.n_steps))
 
     def judged(self) -> tuple[np.ndarray, Feasibility]:
         """Times [s], and the plan's feasibility there."""
@@ -119,7 +120,7 @@ def _times(gait: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Sample times [s] and the number of the step at each: all support phases, and more of start and stop."""
     timing, duration = gait.timing, np.asarray(gait.duration)
     first, T_s, T_c = (float(t) for t in (timing.first_liftoff, timing.T_s, timing.T_c))
-    number = np.arange(timing.n_steps)
+    number = np.arange(int(timing.n_steps))
     liftoff = first + T_c * number[:, None]
     single, double = (np.linspace(_EDGE, 1.0 - _EDGE, n) for n in (_SINGLE, _DOUBLE))
     steps = np.concatenate([liftoff + T_s * single, liftoff + T_s + (T_c - T_s) * double], axis=1)

@@ -13,14 +13,14 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import require
+from jaxbiped.planner.checks import MOST_STEPS, require
 from jaxbiped.planner.gait import PlannedGait, register
 from jaxbiped.planner.polynomial import Polynomial, as_scalar, quintic
-from jaxbiped.planner.targets import TaskSpace, Timing
+from jaxbiped.planner.targets import Count, TaskSpace, Timing, as_count
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
@@ -86,14 +86,15 @@ class CosineGait(PlannedGait):
     """The record of the parameters."""
     params: CosineParams
     """Parameters from which the walk was planned."""
-    n_steps: int = eqx.field(static=True)
+    n_steps: Int[Array, ""]
     """Number of steps."""
-    first_swing: int = eqx.field(static=True)
+    first_swing: Int[Array, ""]
     """The foot that swings first, 0 left (as in the thesis) or 1 right."""
     sway_in: Polynomial
     """Lateral pelvis position from rest [m]."""
     sway_out: Polynomial
     """Lateral pelvis position to rest [m]."""
+    room: int = eqx.field(static=True, default=MOST_STEPS)
 
     @classmethod
     def require_sane(cls, robot: RobotParams, params: CosineParams) -> None:
@@ -103,9 +104,9 @@ class CosineGait(PlannedGait):
         require("w_of", p.w_of, f"> {inner:g} m (the soles must not overlap)", p.w_of > inner, unit="m")
 
     @classmethod
-    def plan(cls, params: CosineParams, n_steps: int, first_swing: int) -> "CosineGait":
+    def plan(cls, params: CosineParams, n_steps: Count, first_swing: Count, room: int) -> "CosineGait":
         """The walk of these parameters; pure."""
-        return _plan(params, n_steps, first_swing)
+        return _plan(params, as_count(n_steps), as_count(first_swing), room)
 
     @property
     def duration(self) -> Scalar:
@@ -122,7 +123,7 @@ class CosineGait(PlannedGait):
     def timing(self) -> Timing:
         """Times of the steps."""
         p = self.params
-        return Timing(p.T_ini + 0.5 * p.t_ds, p.t_ss, p.T_c, self.n_steps, self.first_swing)
+        return Timing(p.T_ini + 0.5 * p.t_ds, p.t_ss, p.T_c, self.n_steps, self.first_swing, self.room)
 
     def task(self, t: Scalar) -> TaskSpace:
         """Soles and pelvis in the world at time t [s]; sole minus pelvis is elkahlout Eqs. 3.1-3.6."""
@@ -160,21 +161,22 @@ def _held(t: Scalar, start: Scalar | float, end: Scalar) -> Scalar:
     return jnp.where(t < start, start, jnp.where(t < end, t, end))
 
 
-def _towards_stance(first_swing: int) -> float:
+def _towards_stance(first_swing: Int[Array, ""]) -> Scalar:
     """Lateral direction of the foot that stands in the first step."""
-    return -1.0 if first_swing == LEFT else 1.0
+    return 2.0 * first_swing - 1.0
 
 
 @runtime.jit
-def _plan(p: CosineParams, n_steps: int, first_swing: int) -> CosineGait:
+def _plan(p: CosineParams, n_steps: Int[Array, ""], first_swing: Int[Array, ""], room: int) -> CosineGait:
     speed = _towards_stance(first_swing) * p.w * jnp.pi / p.T_c
-    last_speed = speed if n_steps % 2 == 0 else -speed
+    last_speed = jnp.where(n_steps % 2 == 0, speed, -speed)
     stop = p.T_ini + n_steps * p.T_c
     rest, moving = (0.0, 0.0, 0.0), (0.0, speed, 0.0)
     return CosineGait(
         params=p,
         n_steps=n_steps,
         first_swing=first_swing,
+        room=room,
         sway_in=quintic(0.0, p.T_ini, rest, moving),
         sway_out=quintic(stop, stop + p.T_end, (0.0, last_speed, 0.0), rest),
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -161,10 +162,7 @@ def in_blocks(
 ) -> PyTree:
     """A compiled function of targets, which have a leading axis, called with BLOCK of them at a time; on the host."""
     nameless = replace(robot, name="any", walks_like="")  # names would be compiled in
-    n, targets = len(targets.time), jax.tree.map(np.asarray, targets)
-    rows = np.minimum(np.arange(n + -n % BLOCK), n - 1).reshape(-1, BLOCK)
-    parts = [function(nameless, jax.tree.map(lambda leaf: leaf[block], targets)) for block in rows]  # noqa: B023
-    return jax.tree.map(lambda *few: np.concatenate(few)[:n], *parts)
+    return runtime.in_blocks(partial(function, nameless), BLOCK, targets)
 
 
 @runtime.jit

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, SupportsIndex, TypeVar, runtime_chec
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbiped import checked
 from jaxbiped.checked import Quantity
@@ -17,7 +17,7 @@ from jaxbiped.planner import presets
 from jaxbiped.planner.checks import GaitError, is_concrete, require_steps, require_within
 from jaxbiped.planner.constraints import FRICTION, check_arguments, require_walkable
 from jaxbiped.planner.presets import known_infeasible
-from jaxbiped.planner.targets import Phase, Plan, TaskSpace, Timing, step_phase
+from jaxbiped.planner.targets import Count, Phase, Plan, TaskSpace, Timing, room_for, step_phase
 from jaxbiped.robot import LEFT, RobotParams, defaults
 
 Scalar = Float[Array, ""]
@@ -42,13 +42,18 @@ class Gait(Plan, Protocol):
         ...
 
     @property
-    def n_steps(self) -> int:
+    def n_steps(self) -> Int[Array, ""]:
         """Number of steps."""
         ...
 
     @property
-    def first_swing(self) -> int:
+    def first_swing(self) -> Int[Array, ""]:
         """The foot that swings first, 0 left or 1 right."""
+        ...
+
+    @property
+    def room(self) -> int:
+        """Number of steps that its tables have room for: plans with the same room share programs."""
         ...
 
     @property
@@ -88,6 +93,10 @@ class Gait(Plan, Protocol):
         """Plan a walk."""
         ...
 
+    def replanned(self, robot: RobotParams, params: eqx.Module, *, allow_infeasible: bool = False) -> "Gait":
+        """Plan the same walk with other parameters."""
+        ...
+
 
 _Planned = TypeVar("_Planned", bound="PlannedGait")
 
@@ -100,8 +109,9 @@ class PlannedGait(eqx.Module):
     parameters: ClassVar[type[eqx.Module]]
     records: ClassVar[Mapping[str, type[eqx.Module]]] = {}
     params: eqx.AbstractVar[eqx.Module]
-    n_steps: eqx.AbstractVar[int]
-    first_swing: eqx.AbstractVar[int]
+    n_steps: eqx.AbstractVar[Int[Array, ""]]
+    first_swing: eqx.AbstractVar[Int[Array, ""]]
+    room: eqx.AbstractVar[int]
 
     @classmethod
     @abstractmethod
@@ -110,8 +120,10 @@ class PlannedGait(eqx.Module):
 
     @classmethod
     @abstractmethod
-    def plan(cls: type[_Planned], params: eqx.Module, n_steps: int, first_swing: int) -> _Planned:
-        """The walk of these parameters; pure."""
+    def plan(
+        cls: type[_Planned], params: eqx.Module, n_steps: Count, first_swing: Count, room: int
+    ) -> _Planned:
+        """The walk of these parameters, in tables with room for some more steps; pure."""
 
     @property
     @abstractmethod
@@ -201,7 +213,34 @@ class PlannedGait(eqx.Module):
             GaitError: if the parameters cannot be walked by this robot: out of bounds, a foot out of reach, or a
                 constraint broken (only where their values are known: what is traced is not judged).
         """
-        n_steps, first_swing = require_steps(n_steps, first_swing)
+        steps = (*require_steps(n_steps, first_swing), room_for(int(n_steps)))
+        return cls._made(robot, params, steps, friction, allow_infeasible)
+
+    def replanned(
+        self: _Planned, robot: RobotParams, params: eqx.Module, *, allow_infeasible: bool = False
+    ) -> _Planned:
+        """Plan the same walk with other parameters.
+
+        Args:
+            robot: that walks.
+            params: of the gait.
+            allow_infeasible: whether to plan what breaks a constraint, too.
+
+        Raises:
+            GaitError: as `make` says.
+        """
+        steps = (self.n_steps, self.first_swing, self.room)
+        return self._made(robot, params, steps, FRICTION, allow_infeasible)
+
+    @classmethod
+    def _made(
+        cls: type[_Planned],
+        robot: RobotParams,
+        params: eqx.Module,
+        steps: tuple[Count, Count, int],
+        friction: float,
+        allow_infeasible: bool,
+    ) -> _Planned:
         friction, allow_infeasible = check_arguments(friction, allow_infeasible)
         if not isinstance(params, cls.parameters):
             raise GaitError(f"params: got a {type(params).__name__}, allowed: {cls.parameters.__name__}")
@@ -209,7 +248,7 @@ class PlannedGait(eqx.Module):
         if known:
             require_within(params, cls.quantities)
             cls.require_sane(robot, params)
-        gait = cls.plan(params, n_steps, first_swing)
+        gait = cls.plan(params, *steps)
         if known:
             require_walkable(robot, gait, friction, allow_infeasible)
         return gait

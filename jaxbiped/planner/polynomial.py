@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbiped import checked
 
@@ -29,13 +29,13 @@ def as_scalar(value: Scalar) -> Float[Array, ""]:
 
 
 class Polynomial(eqx.Module):
-    """A polynomial of time about `centre`, in the scaled time s = (t - centre) / scale."""
+    """A polynomial of time about `centre`, in the scaled time s = (t - centre) / scale; or many, with a leading axis."""
 
-    coefficients: Float[Array, "n"]
+    coefficients: Float[Array, "*many n"]
     """Coefficients of s**0, s**1, ..."""
-    centre: Float[Array, ""]
+    centre: Float[Array, "*many"]
     """Time at which the scaled time is 0 [s]."""
-    scale: Float[Array, ""]
+    scale: Float[Array, "*many"]
     """Time in a unit of the scaled time [s]."""
 
     def __call__(self, t: Scalar) -> Float[Array, ""]:
@@ -179,31 +179,76 @@ class PiecewisePolynomial(eqx.Module):
         return _horner(self.coefficients[piece], (t - self.centre[piece]) / self.scale[piece])
 
 
-def join(pieces: Sequence[Polynomial], breaks: Float[Array, " m"]) -> PiecewisePolynomial:
-    """Put polynomials side by side; piece i holds from breaks[i] to breaks[i + 1] [s]."""
-    longest = max(piece.coefficients.shape[0] for piece in pieces)
-    padded = [jnp.pad(piece.coefficients, (0, longest - piece.coefficients.shape[0])) for piece in pieces]
-    return PiecewisePolynomial(
-        breaks=breaks,
-        coefficients=jnp.stack(padded),
-        centre=jnp.stack([piece.centre for piece in pieces]),
-        scale=jnp.stack([piece.scale for piece in pieces]),
-    )
+def taken(polynomials: Polynomial, which: int | slice | Int[Array, ""] | None) -> Polynomial:
+    """One or some of the polynomials of a record with a leading axis; None adds that axis."""
+    return jax.tree.map(lambda leaf: leaf[which], polynomials)
+
+
+def alternating(first: Polynomial, second: Polynomial) -> Polynomial:
+    """Polynomials of two records with leading axes, one of this and one of that in turn."""
+    n = max(first.coefficients.shape[1], second.coefficients.shape[1])
+    pair = _padded(first, n), _padded(second, n)
+    return jax.tree.map(lambda a, b: jnp.stack([a, b], axis=1).reshape(-1, *a.shape[1:]), *pair)
+
+
+def between(
+    start: Polynomial,
+    inner: Polynomial,
+    stop: Polynomial,
+    breaks: Float[Array, " m"],
+    used: int | Int[Array, ""],
+) -> PiecewisePolynomial:
+    """Put polynomials side by side: one from rest, the `used` first of some, one to rest, which holds from there on.
+
+    Args:
+        start: the first piece.
+        inner: pieces between them, with a leading axis.
+        stop: the last piece.
+        breaks: piece i holds from breaks[i] to breaks[i + 1] [s]; all after the last one used are the end.
+        used: how many of the inner pieces are used.
+    """
+    n = max(piece.coefficients.shape[-1] for piece in (start, inner, stop))
+    first, last = (taken(_padded(piece, n), None) for piece in (start, stop))
+    pieces = jax.tree.map(lambda a, b, c: jnp.concatenate([a, b, c]), first, _padded(inner, n), last)
+    number = jnp.arange(len(breaks) - 1)
+
+    def ended(all_pieces: Array, end: Array) -> Array:
+        goes_on = (number <= used).reshape(-1, *[1] * (all_pieces.ndim - 1))
+        return jnp.where(goes_on, all_pieces, end)
+
+    pieces = jax.tree.map(ended, pieces, last)
+    return PiecewisePolynomial(pieces.coefficients, pieces.centre, pieces.scale, breaks)
+
+
+def _padded(polynomial: Polynomial, n: int) -> Polynomial:
+    """The same with n coefficients."""
+    c = polynomial.coefficients
+    padded = jnp.pad(c, [*[(0, 0)] * (c.ndim - 1), (0, n - c.shape[-1])])
+    return Polynomial(padded, polynomial.centre, polynomial.scale)
 
 
 def spline_slopes(
-    knots: Float[Array, " m"], values: Float[Array, " m"], first: Scalar, last: Scalar
+    knots: Float[Array, " m"],
+    values: Float[Array, " m"],
+    first: Scalar,
+    last: Scalar,
+    used: int | Int[Array, ""] | None = None,
 ) -> Float[Array, " m"]:
-    """Slopes at the knots of the cubic spline (C2) through `values` with given first and last slope."""
+    """Slopes at the knots of the cubic spline (C2) through `values` with given first and last slope.
+
+    With `used` it goes through so many knots; the slopes at all further ones are the last one.
+    """
     h = jnp.diff(knots)
     secant = jnp.diff(values) / h
-    inner = jnp.arange(1, knots.shape[0] - 1)
-    matrix = jnp.eye(knots.shape[0], dtype=knots.dtype)
-    matrix = matrix.at[inner, inner - 1].set(1 / h[:-1])
-    matrix = matrix.at[inner, inner].set(2 / h[:-1] + 2 / h[1:])
-    matrix = matrix.at[inner, inner + 1].set(1 / h[1:])
-    ends = [jnp.asarray(end, knots.dtype)[None] for end in (first, last)]
-    right = jnp.concatenate([ends[0], 3 * (secant[:-1] / h[:-1] + secant[1:] / h[1:]), ends[1]])
+    m = len(knots)
+    number, ahead, behind = jnp.arange(m), jnp.pad(1 / h, (0, 1)), jnp.pad(1 / h, (1, 0))
+    inner = (number > 0) & (number < (m if used is None else used) - 1)
+    tilt = 3.0 * jnp.pad(secant / h, (0, 1)) + 3.0 * jnp.pad(secant / h, (1, 0))
+    diagonal = jnp.where(inner, 2.0 * (ahead + behind), 1.0)
+    right = jnp.where(inner, tilt, jnp.where(number == 0, first, last))
+    matrix = jnp.diag(diagonal)
+    matrix = matrix + jnp.diag(jnp.where(inner, ahead, 0.0)[:-1], 1)
+    matrix = matrix + jnp.diag(jnp.where(inner, behind, 0.0)[1:], -1)
     return solve(matrix, right)
 
 

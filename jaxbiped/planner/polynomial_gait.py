@@ -9,32 +9,34 @@ foot. Time runs
     .. duration         pelvis comes to rest in T_end after the last touchdown
 """
 
-import operator
 from collections.abc import Mapping
-from typing import ClassVar
+from functools import partial
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import require
+from jaxbiped.planner.checks import MOST_STEPS, require
 from jaxbiped.planner.gait import PlannedGait, register
 from jaxbiped.planner.polynomial import (
     PiecewisePolynomial,
     Polynomial,
     Term,
+    alternating,
     as_scalar,
+    between,
     boundary_polynomial,
     coupled_polynomials,
-    join,
     quintic,
     shift,
     spline_slopes,
+    taken,
 )
-from jaxbiped.planner.targets import TaskSpace, Timing
+from jaxbiped.planner.targets import Count, TaskSpace, Timing, as_count
 from jaxbiped.robot import LEFT, RIGHT, RobotParams
 
 Scalar = Float[Array, ""]
@@ -207,9 +209,9 @@ class PolynomialGait(PlannedGait):
     records: ClassVar[Mapping[str, type[eqx.Module]]] = {"start_stop": StartStop}
     params: PolynomialParams
     """Parameters from which the walk was planned."""
-    n_steps: int = eqx.field(static=True)
+    n_steps: Int[Array, ""]
     """Number of steps."""
-    first_swing: int = eqx.field(static=True)
+    first_swing: Int[Array, ""]
     """The foot that swings first, 0 left or 1 right."""
     foot_x: Polynomial
     """Progress of the swing foot, 0 to 1 (khadiv Eq. 1)."""
@@ -221,6 +223,7 @@ class PolynomialGait(PlannedGait):
     """Lateral pelvis position in the world [m]."""
     pelvis_z: PiecewisePolynomial
     """Pelvis height in the world [m]."""
+    room: int = eqx.field(static=True, default=MOST_STEPS)
 
     @classmethod
     def require_sane(cls, robot: RobotParams, params: PolynomialParams) -> None:
@@ -234,9 +237,11 @@ class PolynomialGait(PlannedGait):
         require("L_p", p.L_p, f"> {inner:g} m (the soles must not overlap)", p.L_p > inner, unit="m")
 
     @classmethod
-    def plan(cls, params: PolynomialParams, n_steps: int, first_swing: int) -> "PolynomialGait":
+    def plan(
+        cls, params: PolynomialParams, n_steps: Count, first_swing: Count, room: int
+    ) -> "PolynomialGait":
         """The walk of these parameters; pure."""
-        return _plan(params, n_steps, first_swing)
+        return _plan(params, as_count(n_steps), as_count(first_swing), room)
 
     @property
     def duration(self) -> Scalar:
@@ -247,7 +252,7 @@ class PolynomialGait(PlannedGait):
     def timing(self) -> Timing:
         """Times of the steps."""
         p = self.params
-        return Timing(p.T_ini, p.T_s, p.T_c, self.n_steps, self.first_swing)
+        return Timing(p.T_ini, p.T_s, p.T_c, self.n_steps, self.first_swing, self.room)
 
     def task(self, t: Scalar) -> TaskSpace:
         """Soles and pelvis in the world at time t [s]."""
@@ -270,58 +275,70 @@ class PolynomialGait(PlannedGait):
 
 
 @runtime.jit
-def _plan(p: PolynomialParams, n_steps: int, first_swing: int) -> PolynomialGait:
+def _plan(
+    p: PolynomialParams, n_steps: Int[Array, ""], first_swing: Int[Array, ""], room: int
+) -> PolynomialGait:
+    times = _Times.of(p, n_steps, room)
     return PolynomialGait(
         params=p,
         n_steps=n_steps,
         first_swing=first_swing,
+        room=room,
         foot_x=swing_x(p),
         foot_z=swing_z(p),
-        pelvis_x=_walk_x(p, n_steps),
-        pelvis_y=_walk_y(p, n_steps, first_swing),
-        pelvis_z=_walk_z(p, n_steps),
+        pelvis_x=_walk_x(p, times),
+        pelvis_y=_walk_y(p, times, first_swing),
+        pelvis_z=_walk_z(p, times),
     )
 
 
-def _knots(p: PolynomialParams, n_steps: int) -> Float[Array, " {2*n_steps}"]:
+class _Times(NamedTuple):
+    """Times of a walk in tables that have room for more steps."""
+
+    n_steps: Int[Array, ""]
+    """Number of steps."""
+    number: Int[Array, "room"]
+    """Numbers of the steps."""
+    delay: Float[Array, "room"]
+    """Lift-off of every step [s]."""
+    knots: Float[Array, "knots"]
     """Lift-off and touchdown of every step [s]."""
-    liftoff = p.T_ini + p.T_c * jnp.arange(n_steps)
-    return jnp.stack([liftoff, liftoff + p.T_s], axis=1).reshape(-1)
+    breaks: Float[Array, "breaks"]
+    """Start, lift-off and touchdown of every step, end; the end also in place of the steps that are not made [s]."""
+
+    @classmethod
+    def of(cls, p: PolynomialParams, n_steps: Int[Array, ""], room: int) -> "_Times":
+        number = jnp.arange(room)
+        liftoff = p.T_ini + p.T_c * number
+        knots = jnp.stack([liftoff, liftoff + p.T_s], axis=1).reshape(-1)
+        end = knots[2 * n_steps - 1] + p.T_end
+        made = jnp.where(jnp.arange(2 * room) < 2 * n_steps, knots, end)
+        breaks = jnp.concatenate([jnp.zeros(1, knots.dtype), made, end[None]])
+        return cls(n_steps, number, liftoff, knots, breaks)
 
 
-def _breaks(p: PolynomialParams, n_steps: int) -> Float[Array, " {2*n_steps+2}"]:
-    knots = _knots(p, n_steps)
-    return jnp.concatenate([jnp.zeros(1, knots.dtype), knots, (knots[-1] + p.T_end)[None]])
-
-
-def _walk_x(p: PolynomialParams, n_steps: int) -> PiecewisePolynomial:
+def _walk_x(p: PolynomialParams, times: _Times) -> PiecewisePolynomial:
     """One C2 cubic spline through the pelvis' via points of all steps, and quintics from and to rest.
 
     In the middle of a walk it is khadiv Eq. 3; the first and last steps have via points of their own, without
     which the ZMP would leave the feet while the walk starts and stops.
     """
-    ends, knots, breaks = p.start_stop, _knots(p, n_steps), _breaks(p, n_steps)
-    x_s = (
-        jnp.full(n_steps, p.x_s)
-        .at[1:2]
-        .set(ends.x_s_second)
-        .at[-1]
-        .set(ends.x_s_last)
-        .at[0]
-        .set(ends.x_s_first)
-    )
-    x_e = jnp.full(n_steps, p.x_e).at[-2:-1].set(ends.x_e_penultimate).at[0].set(ends.x_e_first)
-    x_e = x_e.at[-1].set(ends.x_e_last)
-    stance = p.D_s * jnp.arange(n_steps)
+    ends, number, knots, last = p.start_stop, times.number, times.knots, times.n_steps - 1
+    x_s = jnp.where(number == 1, ends.x_s_second, p.x_s)
+    x_s = jnp.where(number == 0, ends.x_s_first, jnp.where(number == last, ends.x_s_last, x_s))
+    x_e = jnp.where(number == last - 1, ends.x_e_penultimate, p.x_e)
+    x_e = jnp.where(number == last, ends.x_e_last, jnp.where(number == 0, ends.x_e_first, x_e))
+    stance = p.D_s * number
     via = jnp.stack([stance - x_s, stance + x_e], axis=1).reshape(-1)
-    slope = spline_slopes(knots, via, ends.v_first, ends.v_last)
+    slope = spline_slopes(knots, via, ends.v_first, ends.v_last, 2 * times.n_steps)
     cubics = jax.vmap(_cubic)(knots[:-1], knots[1:], via[:-1], via[1:], slope[:-1], slope[1:])
-    spline = [jax.tree.map(operator.itemgetter(i), cubics) for i in range(2 * n_steps - 1)]
-    first = [spline[0].derivative(knots[0], order) for order in (0, 1, 2)]
-    last = [spline[-1].derivative(knots[-1], order) for order in (0, 1, 2)]
-    start = quintic(0.0, p.T_ini, (ends.x_rest_start, 0.0, 0.0), first)
-    stop = quintic(knots[-1], breaks[-1], last, (stance[-1] + ends.x_rest_end, 0.0, 0.0))
-    return join([start, *spline, stop], breaks)
+    used = 2 * times.n_steps - 1
+    first, final = taken(cubics, 0), taken(cubics, used - 1)
+    touchdown, end = knots[used], times.breaks[-1]
+    start = quintic(0.0, p.T_ini, (ends.x_rest_start, 0.0, 0.0), _state(first, knots[0]))
+    at_rest = (p.D_s * last + ends.x_rest_end, 0.0, 0.0)
+    stop = quintic(touchdown, end, _state(final, touchdown), at_rest)
+    return between(start, cubics, stop, times.breaks, used)
 
 
 def _cubic(
@@ -331,33 +348,38 @@ def _cubic(
     return boundary_polynomial([start, start, end, end], (0, 1, 0, 1), values)
 
 
-def _walk_y(p: PolynomialParams, n_steps: int, first_swing: int) -> PiecewisePolynomial:
+def _state(polynomial: Polynomial, t: Scalar) -> list[Scalar]:
+    """Value, speed and acceleration at a time [s]."""
+    return [polynomial.derivative(t, order) for order in (0, 1, 2)]
+
+
+def _walk_y(p: PolynomialParams, times: _Times, first_swing: Int[Array, ""]) -> PiecewisePolynomial:
     """Eq. 4 of khadiv from the first lift-off to the last touchdown, and quintics from and to mid-feet."""
-    breaks = _breaks(p, n_steps)
     single, double = steady_pelvis_y(p)
-    steps = []
-    for k in range(n_steps):
-        towards_swing = 1.0 if (first_swing + k) % 2 == LEFT else -1.0
-        stance_y, delay = -towards_swing * 0.5 * p.L_p, p.T_ini + k * p.T_c
-        steps += [shift(piece, stance_y, delay, towards_swing) for piece in (single, double)]
-    steps = steps[:-1]
-    first = [steps[0].derivative(breaks[1], order) for order in (0, 1, 2)]
-    last = [steps[-1].derivative(breaks[-2], order) for order in (0, 1, 2)]
-    start = quintic(0.0, breaks[1], (0.0, 0.0, 0.0), first)
-    stop = quintic(breaks[-2], breaks[-1], last, (0.0, 0.0, 0.0))
-    return join([start, *steps, stop], breaks)
+    towards_swing = jnp.where((first_swing + times.number) % 2 == LEFT, 1.0, -1.0)
+    stance_y = -towards_swing * 0.5 * p.L_p
+    steps = alternating(
+        *(jax.vmap(partial(shift, piece))(stance_y, times.delay, towards_swing) for piece in (single, double))
+    )
+    used = 2 * times.n_steps - 1
+    liftoff, touchdown, end = times.breaks[1], times.knots[used], times.breaks[-1]
+    at_rest = (0.0, 0.0, 0.0)
+    start = quintic(0.0, liftoff, at_rest, _state(taken(steps, 0), liftoff))
+    stop = quintic(touchdown, end, _state(taken(steps, used - 1), touchdown), at_rest)
+    return between(start, taken(steps, slice(-1)), stop, times.breaks, used)
 
 
-def _walk_z(p: PolynomialParams, n_steps: int) -> PiecewisePolynomial:
+def _walk_z(p: PolynomialParams, times: _Times) -> PiecewisePolynomial:
     """Eq. 5 of khadiv from mid first to mid last single support, and quintics from and to z_min."""
     falling, rising = steady_pelvis_z(p)
-    delays = [p.T_ini + k * p.T_c for k in range(n_steps)]
-    middle_first, middle_last = delays[0] + 0.5 * p.T_s, delays[-1] + 0.5 * p.T_s
-    half = 0.5 * p.T_c
+    half, last = 0.5 * p.T_c, times.n_steps - 1
+    middle_first, middle_last = p.T_ini + 0.5 * p.T_s, times.delay[last] + 0.5 * p.T_s
     top = (p.z_max, 0.0, falling.derivative(0.5 * p.T_s, 2))
     bottom = (p.z_min, 0.0, 0.0)
-    pieces = [quintic(middle_first - half, middle_first, bottom, top)]
-    for delay in delays[:-1]:
-        pieces += [shift(falling, 0.0, delay), shift(rising, 0.0, delay)]
-    pieces.append(quintic(middle_last, middle_last + half, top, bottom))
-    return join(pieces, middle_first - half + half * jnp.arange(2 * n_steps + 1))
+    steps = alternating(
+        *(jax.vmap(partial(shift, piece, 0.0))(times.delay[:-1]) for piece in (falling, rising))
+    )
+    start = quintic(middle_first - half, middle_first, bottom, top)
+    stop = quintic(middle_last, middle_last + half, top, bottom)
+    halves = jnp.minimum(jnp.arange(2 * len(times.number) + 1), 2 * times.n_steps)
+    return between(start, steps, stop, middle_first - half + half * halves, 2 * last)

@@ -7,9 +7,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxbiped.planner.checks import MOST_STEPS
+
 SINGLE_SUPPORT, DOUBLE_SUPPORT = 0, 1
 PLANNED_STEP, REFLEX_STEP, RECOVERY_STEP = 0, 1, 2
 """A step of the gait, or what an adaptation does in its place: stand still, and make up for it."""
+ROOM = 8
+"""Plans have room for a multiple of so many steps."""
+
+
+Count = int | Int[Array, ""]
+"""A whole number that may be traced."""
 
 
 class TaskSpace(eqx.Module):
@@ -44,6 +52,16 @@ class Phase(eqx.Module):
     """Beginning of this step, since its lift-off [s]."""
 
 
+def room_for(n_steps: int) -> int:
+    """Number of steps that a plan of so many has room for: walks of few and of some more steps share programs."""
+    return n_steps + -n_steps % ROOM
+
+
+def as_count(value: object) -> Int[Array, ""]:
+    """A whole number as an array; the converter of counts in records."""
+    return jnp.asarray(value, jnp.int32)
+
+
 class Timing(eqx.Module):
     """Times of the steps of a walk."""
 
@@ -53,10 +71,12 @@ class Timing(eqx.Module):
     """Duration of single support [s]."""
     T_c: Float[Array, ""]
     """Duration of a step [s]."""
-    n_steps: int = eqx.field(static=True)
+    n_steps: Int[Array, ""] = eqx.field(converter=as_count)
     """Number of steps."""
-    first_swing: int = eqx.field(static=True)
+    first_swing: Int[Array, ""] = eqx.field(converter=as_count)
     """The foot that swings first, 0 left or 1 right."""
+    room: int = eqx.field(static=True, default=MOST_STEPS)
+    """Number of steps that tables have room for."""
 
     def liftoff(self, step: int | Int[Array, "*n"]) -> Float[Array, "*n"]:
         """Lift-off of a step [s]."""

@@ -137,7 +137,7 @@ def _what(experiment: Experiment, table: pl.DataFrame, varied: list[str]) -> Sec
     pads = [step for step in steps_of(table.columns) if (table[f"step_{step}_height_m"] != 0.0).any()]
     lines = [
         f"{experiment.robot.name}, {float(experiment.robot.total_mass):.1f} kg, {type(gait).__name__}, "
-        f"{gait.timing.n_steps} steps in {float(gait.duration):.1f} s.",
+        f"{int(gait.timing.n_steps)} steps in {float(gait.duration):.1f} s.",
         f"{table.height} of {experiment.rows} walks: {experiment.table.height} scenarios with each of "
         f"{len(experiment.variants)} variants ({', '.join(experiment.variants)}), all meet the same scenarios.",
         f"Varied: {', '.join(grids.shown(name).label for name in varied) or 'nothing'}."

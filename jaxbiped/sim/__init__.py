@@ -2,7 +2,7 @@
 
 from jaxbiped.sim.model import build_model, build_spec, mjcf, write_mjcf
 from jaxbiped.sim.options import Options, own_friction, own_options
-from jaxbiped.sim.scenario import Scenario, require_clear_start, require_swing_clears, swing_height
+from jaxbiped.sim.scenario import Scenario, require_clear_start, require_swing_clears, swing_height, with_room
 from jaxbiped.sim.simulation import Simulation, prepare, rectangles_of, rollout
 from jaxbiped.sim.statistics import STATUS_TEXT, Statistics
 from jaxbiped.sim.tick import Sample, State, Walk
@@ -27,5 +27,6 @@ __all__ = [
     "require_swing_clears",
     "rollout",
     "swing_height",
+    "with_room",
     "write_mjcf",
 ]

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, PyTree
+from jaxtyping import Array, PyTree
 
 from jaxbiped import runtime
 from jaxbiped.sim.physics import c_world
@@ -15,9 +15,9 @@ from jaxbiped.sim.physics.c_mujoco import Fields, Robots
 from jaxbiped.sim.physics.c_world import SPHERES
 from jaxbiped.sim.physics.contract import Physics
 from jaxbiped.sim.record import Record
-from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.scenario import Scenario, with_room
 from jaxbiped.sim.seen import Seen
-from jaxbiped.sim.segments import Told, ticks_of_segment
+from jaxbiped.sim.segments import Told, begun, ticks_of_segment
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, observed
 
 
@@ -50,9 +50,10 @@ def run(
     cases = list(zip(sinkage.tolist(), contacts, strict=True))
     depth = {case: c_world.resting_depth(robot, case[0], options.dt, case[1]) for case in set(cases)}
     rests = jnp.asarray([depth[case] for case in cases], sinkage.dtype)
-    states = _start(
-        simulation, eqx.tree_at(lambda s: s.ground.sinkage, scenarios, rests), jnp.asarray(ticks, jnp.int32)
-    )
+    resting = eqx.tree_at(lambda s: s.ground.sinkage, scenarios, rests)
+    states = begun(
+        simulation, with_room(resting), ticks
+    )  # every robot stands at rest on the compliant ground
     robots = Robots(robot, scenarios, options, contacts, np.asarray(states.physics.qpos))
     fixed, kind = jax.tree.flatten(simulation)
     conclude = _conclude(kind)
@@ -70,12 +71,6 @@ def run(
             break
     trace = jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *rows) if rows else None
     return Walk(states.record.statistics, trace, states.controller)
-
-
-@runtime.jit
-def _start(simulation: PureSimulation, scenarios: Scenario, ticks: Int[Array, ""]) -> State:
-    """Start the walks: every robot stands at rest on the compliant ground."""
-    return jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
 
 
 Concluded = Callable[[list[Array | np.ndarray], State, Fields, Fields], tuple[State, Array, Sample]]

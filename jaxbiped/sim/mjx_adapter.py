@@ -90,7 +90,12 @@ def base_model(robot: RobotParams) -> Model:
     model.geom_rbound[:] = (
         0.0  # of no use without contacts, and MJX compiles anew where its copy of them differs
     )
-    return mjx.put_model(model)
+    return _unbound(mjx.put_model(model))
+
+
+def _unbound(model: Model) -> Model:
+    """The same model, bound to no device: what is computed with a bound one is bound, and JAX compiles anew for it."""
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), model)
 
 
 def _require_layout(model: mujoco.MjModel) -> None:
@@ -371,7 +376,7 @@ def contact_model(spec: mujoco.MjSpec, iterations: int) -> Model:
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     model = spec.compile()
     _require_layout(model)
-    return mjx.put_model(model)
+    return _unbound(mjx.put_model(model))
 
 
 def native_step(

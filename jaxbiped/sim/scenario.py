@@ -22,6 +22,8 @@ PAD_BEHIND, PAD_AROUND = 0.115, 0.02
 EDGE_WIDTH = 0.004
 """Width over which a rectangle's edge rises, so that forces are differentiable in its place [m]."""
 MAX_RECTANGLES = 1000
+ROOM = 4
+"""Terrains that walk by the same compiled program have room for a multiple of so many rectangles."""
 NEVER = 1e6
 """A time after every walk [s]."""
 _PLACE = Quantity("m", -1000.0, 1000.0, shapes=((2,),))
@@ -301,6 +303,18 @@ class Scenario(eqx.Module):
         return eqx.tree_at(lambda s: s.ground.friction, self, _array(friction))
 
 
+def with_room(scenarios: Scenario) -> Scenario:
+    """The same scenarios, with a leading axis, with room for a multiple of ROOM rectangles."""
+    missing = -scenarios.terrain.height.shape[1] % ROOM
+
+    def padded(leaf: Array) -> Array:
+        return jnp.pad(leaf, [(0, 0), (0, missing), *[(0, 0)] * (leaf.ndim - 2)])
+
+    if not missing:
+        return scenarios
+    return eqx.tree_at(lambda s: s.terrain, scenarios, jax.tree.map(padded, scenarios.terrain))
+
+
 def pad_under(robot: RobotParams, gait: Gait, step: SupportsIndex) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest corner (x, y) [m] of the pad that `Scenario.with_obstacle` puts under a foothold.
 
@@ -379,7 +393,7 @@ def require_clear_start(robot: RobotParams, gait: Gait, terrain: Terrain) -> Non
 
 def _swing(gait: Gait, step: SupportsIndex) -> tuple[int, np.ndarray, float]:
     """The foot that lands in a step, both soles then (2, 3) [m], and how high the foot goes before it [m]."""
-    number = checked.whole("step", step, 0, gait.timing.n_steps - 1)
+    number = checked.whole("step", step, 0, int(gait.timing.n_steps) - 1)
     with jax.ensure_compile_time_eval():
         foot, sole, apex = jax.tree.map(np.asarray, _foothold(gait, jnp.asarray(number)))
     return int(foot), sole, float(apex)

@@ -3,8 +3,12 @@
 One compiled program serves every duration, traced or not, in as many lanes as there are: it goes on by a segment, and a
 walk whose time is over, or whose robot has failed, stays as it is until the segment ends. Then it makes way for the
 next scenario, and when all have finished, no further segment is begun.
+
+XLA compiles for a number of lanes: few numbers are used, the last scenario fills what is left over. What does not
+matter to a walk, as names, is left out, so that robots and variants of a kind share programs.
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -19,8 +23,8 @@ from jaxbiped import runtime
 from jaxbiped.planner import at
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
-from jaxbiped.sim.options import XLA
-from jaxbiped.sim.scenario import Scenario
+from jaxbiped.sim.options import COMPLIANT, XLA, Options
+from jaxbiped.sim.scenario import Scenario, with_room
 from jaxbiped.sim.tick import PureSimulation, Sample, State, Walk, sampled
 
 Told = Callable[[float], None]
@@ -33,6 +37,10 @@ STARTING, COMPILING, WALKING = "getting the start ready", "getting the walk read
 """Said of a run while it goes on. Getting ready is tracing and compiling, or finding in the cache what was compiled."""
 MAX_ROWS = 25
 """Rows of a trace in a segment, where a trace is asked for."""
+FEW_LANES = (4, 16, 64)
+"""Numbers of lanes that XLA compiles for; beyond the last one, its multiples."""
+BLOCK, LARGE_BLOCK = 16, 1024
+"""Walks that are begun at once, and if there are many."""
 
 
 def run(
@@ -55,23 +63,68 @@ def run(
 def _run(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, lanes: int | None) -> Walk:
     n = len(scenarios.ground.sinkage)
     chosen = backend.chosen(simulation.options, n * ticks * simulation.options.control_every)
-    if simulation.options.trace_every:
-        return _traced(simulation, scenarios, ticks, told, chosen)
+    every, simulation = simulation.options.trace_every, nameless(simulation)
+    if simulation.options.contact == COMPLIANT:
+        scenarios = with_room(scenarios)
+    if every:
+        return _traced(simulation, scenarios, ticks, every, told, chosen)
     lanes = n if lanes is None else min(lanes, n)
-    further: Further = partial(_segment, simulation)
-    if chosen != XLA:
+    if chosen == XLA:
+        lanes, simulation = rounded(lanes), _for_xla(simulation)
+        further: Further = partial(_segment, simulation)
+    else:
         further = backend.segments(simulation, ticks_of_segment(simulation))
-    if lanes == n:
-        return _at_once(simulation, scenarios, ticks, told, further)
+    if lanes >= n:
+        return _at_once(simulation, scenarios, ticks, told, further, lanes)
     return _in_turn(simulation, scenarios, ticks, told, further, lanes)
 
 
+def nameless(simulation: PureSimulation) -> PureSimulation:
+    """The same simulation without what would be compiled in and does not matter to a tick: names, and the trace."""
+    robot = dataclasses.replace(simulation.robot, name="any", walks_like="")
+    options = dataclasses.replace(simulation.options, trace_every=0)
+    return dataclasses.replace(simulation, robot=robot, options=options)
+
+
+def _for_xla(simulation: PureSimulation) -> PureSimulation:
+    """The same simulation, whoever chose XLA."""
+    return dataclasses.replace(simulation, options=dataclasses.replace(simulation.options, backend=XLA))
+
+
+def rounded(lanes: int) -> int:
+    """Number of lanes that XLA walks so many scenarios in, see FEW_LANES."""
+    return next((few for few in FEW_LANES if lanes <= few), lanes + -lanes % FEW_LANES[-1])
+
+
+def begun(simulation: PureSimulation, scenarios: Scenario, ticks: int) -> State:
+    """The walks' states at their start, with so many control ticks ahead.
+
+    One program begins any number of walks, by any engine and backend, see `runtime.in_blocks`.
+    """
+    n, o = len(scenarios.ground.sinkage), simulation.options
+    options = Options(
+        dt=o.dt,
+        control_every=o.control_every,
+        feed_forward=o.feed_forward,
+        payload_model=o.payload_model,
+        noise=o.noise,
+        delay_room=o.delay_room,
+    )
+    one = dataclasses.replace(nameless(simulation), options=options)
+    block = BLOCK if n <= LARGE_BLOCK else LARGE_BLOCK
+    states = runtime.in_blocks(partial(_begin, one, ticks=_count(ticks)), block, scenarios)
+    return jax.tree.map(
+        jnp.asarray, states
+    )  # as they come from a segment: JAX compiles for NumPy's arrays anew
+
+
 def _at_once(
-    simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, further: Further
+    simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, further: Further, lanes: int
 ) -> Walk:
-    """Walk all scenarios at once, each in its own lane."""
-    states, walked = _begin(simulation, scenarios, _count(ticks)), 0
-    stopped = ticks <= 0
+    """Walk all scenarios at once, each in its own lane; the last one also in those that are left over."""
+    n = len(scenarios.ground.sinkage)
+    states = begun(simulation, _take(scenarios, np.minimum(np.arange(lanes), n - 1)), ticks)
+    walked, stopped = 0, ticks <= 0
     runtime.now(COMPILING)
     while not stopped:
         states, stops = further(states)
@@ -79,7 +132,7 @@ def _at_once(
         walked += ticks_of_segment(simulation)
         stopped = bool(np.all(stops))
         told(1.0 if stopped else walked / ticks)
-    return _walk(states)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[:n]), _walk(states))
 
 
 def _in_turn(
@@ -89,7 +142,7 @@ def _in_turn(
     n = len(scenarios.ground.sinkage)
     holds, waiting = np.arange(lanes), lanes
     walks: list[Walk | None] = [None] * n
-    states = _begin(simulation, _take(scenarios, holds), _count(ticks))
+    states = begun(simulation, _take(scenarios, holds), ticks)
     runtime.now(COMPILING)
     while any(walk is None for walk in walks):
         states, stops = further(states)
@@ -102,27 +155,35 @@ def _in_turn(
             walks[holds[lane]] = jax.tree.map(lambda leaf, lane=lane: leaf[lane], finished)
         holds[done] = np.minimum(np.arange(waiting, waiting + done.size), n)
         waiting += done.size
-        fresh = np.zeros(lanes, bool)
-        fresh[done] = True
-        coming = _take(scenarios, np.minimum(holds, n - 1))
-        states = _renewed(simulation, states, jnp.asarray(fresh), coming, _count(ticks))
+        if len(coming := done[holds[done] < n]):
+            new = begun(simulation, _take(scenarios, holds[coming]), ticks)
+            states = jax.tree.map(partial(_put, coming), states, new)
         told(sum(walk is not None for walk in walks) / n)
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *walks)
+
+
+def _put(lanes: np.ndarray, old: Array, new: Array) -> Array:
+    """The same numbers, with new ones in some lanes."""
+    both = np.array(old)
+    both[lanes] = new
+    return jnp.asarray(both)
 
 
 RowsLater = Callable[[State], tuple[State, Sample | None]]
 """Function from states to those MAX_ROWS rows of a trace later, and the rows."""
 
 
-def _traced(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, chosen: str) -> Walk:
+def _traced(
+    simulation: PureSimulation, scenarios: Scenario, ticks: int, every: int, told: Told, chosen: str
+) -> Walk:
     """Walk all scenarios, each in its own lane, and trace them; the last rows of a trace may stand still."""
-    rows = ticks // simulation.options.trace_every
-    states = _begin(simulation, scenarios, _count(rows * simulation.options.trace_every))
+    rows = ticks // every
+    states = begun(simulation, scenarios, rows * every)
     parts: list[Sample] = []
     runtime.now(COMPILING)
-    rows_later: RowsLater = partial(_rows_by_xla, simulation)
+    rows_later: RowsLater = partial(_rows_by_xla, _for_xla(simulation), every=_count(every))
     if chosen != XLA:
-        rows_later = _rows_in_c(simulation, states)
+        rows_later = _rows_in_c(simulation, states, every)
     for start in range(0, max(rows, 1), MAX_ROWS):
         states, part = rows_later(states)
         parts.append(jax.tree.map(np.asarray, part))
@@ -143,9 +204,9 @@ def traced_tick(simulation: PureSimulation, tracing: Tracing) -> tuple[Tracing, 
     return Tracing(*simulation.tick(tracing.state)), jnp.zeros((), bool)
 
 
-def _rows_in_c(simulation: PureSimulation, states: State) -> RowsLater:
+def _rows_in_c(simulation: PureSimulation, states: State, every: int) -> RowsLater:
     """The same as `_rows_by_xla`, in machine code or of scalars, for walks that begin so."""
-    n, every = len(states.left), simulation.options.trace_every
+    n = len(states.left)
     blank = Sample.blank(at(simulation.controller.gait, jnp.zeros((), states.time.dtype)))
     samples = jax.tree.map(lambda leaf: np.zeros((n, *leaf.shape), leaf.dtype), blank)
     kind = backend.kind_of(simulation.options)
@@ -178,7 +239,7 @@ def _count(ticks: int) -> Int[Array, ""]:
 
 
 def _take(scenarios: Scenario, rows: np.ndarray) -> Scenario:
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], scenarios)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], scenarios)
 
 
 @runtime.jit
@@ -198,24 +259,8 @@ def _segment(simulation: PureSimulation, states: State) -> tuple[State, Bool[Arr
 
 
 @runtime.jit
-def _rows_by_xla(simulation: PureSimulation, states: State) -> tuple[State, Sample | None]:
-    """The states MAX_ROWS rows later, and the rows."""
-    ticks = MAX_ROWS * simulation.options.trace_every
-    return jax.vmap(lambda state: sampled(simulation.tick, state, ticks, MAX_ROWS))(states)
-
-
-@runtime.jit
-def _renewed(
-    simulation: PureSimulation,
-    states: State,
-    fresh: Bool[Array, " lanes"],
-    scenarios: Scenario,
-    ticks: Int[Array, ""],
-) -> State:
-    """The states with new walks begun in some lanes."""
-
-    def begun(old: Array, new: Array) -> Array:
-        return jnp.where(jnp.reshape(fresh, (-1, *[1] * (old.ndim - 1))), new, old)
-
-    new = jax.vmap(lambda scenario: simulation.start(scenario, ticks))(scenarios)
-    return jax.tree.map(begun, states, new)
+def _rows_by_xla(
+    simulation: PureSimulation, states: State, every: Int[Array, ""]
+) -> tuple[State, Sample | None]:
+    """The states MAX_ROWS rows later, one row `every` so many control ticks, and the rows."""
+    return jax.vmap(lambda state: sampled(simulation.tick, state, MAX_ROWS * every, MAX_ROWS))(states)

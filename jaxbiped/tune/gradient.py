@@ -24,7 +24,7 @@ from jaxbiped.adapt import Controller, tunables
 from jaxbiped.adapt.tunables import Tunable
 from jaxbiped.score import Loss, WalkLoss
 from jaxbiped.sim.compile import backend
-from jaxbiped.sim.options import AUTO, XLA, C
+from jaxbiped.sim.options import AUTO, MJX, XLA, C
 from jaxbiped.tune.walks import Setting, walk_slopes, walk_values
 from jaxbiped.tune.walks_in_c import WalksInC
 
@@ -161,7 +161,8 @@ class Problem:
 
     def scenarios(self, rows: np.ndarray) -> sim.Scenario:
         """Scenarios of these rows, as a leading axis."""
-        return batch.scenarios_of(self.experiment.table[rows.tolist()], self.experiment.pads)
+        found = batch.scenarios_of(self.experiment.table[rows.tolist()], self.experiment.pads)
+        return found if self.experiment.options.contact == MJX else sim.with_room(found)
 
 
 def value_and_grad(

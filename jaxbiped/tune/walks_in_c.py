@@ -8,7 +8,7 @@ tunable. Only the table of the plan's torques is the same for all lanes of a cal
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from jaxbiped import runtime, sim
 from jaxbiped.adapt import tunables
 from jaxbiped.adapt.controller import Controller
+from jaxbiped.runtime import OnHost
 from jaxbiped.score import Loss
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
@@ -33,8 +34,6 @@ SLOPE_ROUNDING = {size: 30.0 * rounding for size, rounding in backend.ROUNDING.i
 """Tangents of forces on stiff ground are small differences of large numbers: a digit or two are lost."""
 Places = tuple[tuple[int, ...], ...]
 """For every leaf of a controller's real numbers, which of its elements depend on tunables."""
-OnHost = Any
-"""The same tree with NumPy's arrays in place of JAX's."""
 T = TypeVar("T")
 
 
@@ -145,7 +144,7 @@ class WalksInC:
         self, at: np.ndarray, scenarios: sim.Scenario
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Losses (n,) of scenarios with each its own values of the tunables (n, k); see `walks.walk_values`."""
-        numbers = _in_blocks(lambda x: _numbers(self.setting, x), at)
+        numbers = runtime.in_blocks(partial(_numbers, self.setting), BLOCK, at)
         places = self._placed(numbers)
         tuned, walking = _picked(numbers, places), None
         _, group = (
@@ -154,11 +153,11 @@ class WalksInC:
         for lanes in (np.flatnonzero(group == number) for number in np.unique(group)):
             torque = _torque(self.setting, jnp.asarray(at[lanes[0]])) if self.moves_torque else None
             walker = self._walker(places, torque)
-            begun = _in_blocks(partial(_begun, walker), tuned[lanes], _rows(scenarios, lanes))
+            begun = runtime.in_blocks(partial(_begun, walker), BLOCK, tuned[lanes], _rows(scenarios, lanes))
             machine = backend.machine_of(walker, begun, value_step)
             ended = machine.advance(shared_leaves(walker), begun, int(self.setting.ticks), runtime.threads())
             walking = _put(walking, lanes, len(at), ended)
-        return _in_blocks(partial(_ended, self.setting, places), walking, scenarios)
+        return runtime.in_blocks(partial(_ended, self.setting, places), BLOCK, walking, scenarios)
 
     def walk_slopes(
         self, at: np.ndarray, scenarios: sim.Scenario
@@ -171,8 +170,8 @@ class WalksInC:
         tuned_slopes = _picked(number_slopes, places)
         torque, torque_slopes = _slopes_of_torque(self.setting, point) if self.moves_torque else (None, None)
         walker = self._walker(places, torque)
-        begun, slopes = _in_blocks(
-            partial(_begun_slopes, walker, tuned, tuned_slopes, torque_slopes), scenarios
+        begun, slopes = runtime.in_blocks(
+            partial(_begun_slopes, walker, tuned, tuned_slopes, torque_slopes), BLOCK, scenarios
         )
         parts = []
         for together in [[*range(k)]] if torque_slopes is None else [[j] for j in range(k)]:
@@ -184,7 +183,9 @@ class WalksInC:
         slopes, growth = jax.tree.map(
             lambda *few: np.concatenate(few, axis=1), *(part[1:3] for part in parts)
         )
-        ended = _in_blocks(partial(_ended_slopes, self.setting, places), walking, slopes, scenarios)
+        ended = runtime.in_blocks(
+            partial(_ended_slopes, self.setting, places), BLOCK, walking, slopes, scenarios
+        )
         losses, loss_slopes, trigger_slopes, became = ended
         return losses, loss_slopes, trigger_slopes, np.moveaxis(growth, 1, 2), {**became, "time": time}
 
@@ -260,14 +261,6 @@ def _put(all_lanes: OnHost, lanes: np.ndarray, n: int, some: OnHost) -> OnHost:
     for old, new in zip(jax.tree.leaves(all_lanes), jax.tree.leaves(some), strict=True):
         old[lanes] = new
     return all_lanes
-
-
-def _in_blocks(function: Callable[..., PyTree], *arguments: PyTree) -> OnHost:
-    """A compiled function of lanes, called with BLOCK of them at a time, so that one program does for any number."""
-    n = len(jax.tree.leaves(arguments)[0])
-    lanes = np.minimum(np.arange(-(-n // BLOCK) * BLOCK), n - 1).reshape(-1, BLOCK)
-    parts = [_on_host(function(*(_rows(argument, block) for argument in arguments))) for block in lanes]
-    return jax.tree.map(lambda *few: np.concatenate(few)[:n], *parts)
 
 
 def _like(slope: PyTree) -> PyTree:

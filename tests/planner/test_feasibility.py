@@ -69,7 +69,7 @@ def _walk(name: str):
 def _clear(gait, times) -> np.ndarray:
     """Which times are away from those at which an acceleration bends or jumps."""
     t = gait.timing
-    liftoff = np.array([float(t.liftoff(k)) for k in range(t.n_steps)])
+    liftoff = np.array([float(t.liftoff(k)) for k in range(int(t.n_steps))])
     T_s, T_c = float(t.T_s), float(t.T_c)
     ends = [0.0, float(gait.params.T_ini), float(gait.duration - gait.params.T_end), float(gait.duration)]
     middle = np.append(liftoff[0] - T_c + T_s, liftoff + T_s) + 0.5 * (T_c - T_s)

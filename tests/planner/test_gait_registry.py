@@ -109,9 +109,9 @@ def shuffle(tmp_path, monkeypatch) -> Any:
         parameters: ClassVar[type[eqx.Module]] = CosineParams
 
         @classmethod
-        def plan(cls, params, n_steps, first_swing):
+        def plan(cls, params, n_steps, first_swing, room):
             half = dataclasses.replace(params, w=0.5 * params.w)
-            made = CosineGait.plan(half, n_steps, first_swing)
+            made = CosineGait.plan(half, n_steps, first_swing, room)
             return cls(**{field.name: getattr(made, field.name) for field in dataclasses.fields(made)})
 
     folder = presets._folder

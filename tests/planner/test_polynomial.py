@@ -12,9 +12,9 @@ from scipy.interpolate import BPoly, CubicSpline
 
 from jaxbiped.planner.polynomial import (
     Term,
+    between,
     boundary_polynomial,
     coupled_polynomials,
-    join,
     quintic,
     shift,
     solve,
@@ -189,6 +189,12 @@ def test_coupled_polynomials_refuse_a_wrong_number_of_conditions():
         coupled_polynomials([(0.0, 1.0)], (3,), [([Term(0, 0.0)], 1.0)])
 
 
+def side_by_side(pieces, breaks, used=None):
+    """A piecewise polynomial; with `used` only so many of the inner pieces are."""
+    inner = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pieces[1:-1])
+    return between(pieces[0], inner, pieces[-1], breaks, len(pieces) - 2 if used is None else used)
+
+
 def test_piecewise_polynomial_holds_its_ends_and_switches_at_the_breaks(x64):
     rng = np.random.default_rng(3)
     breaks = np.array([1.0, 1.8, 2.1, 3.5])
@@ -196,7 +202,7 @@ def test_piecewise_polynomial_holds_its_ends_and_switches_at_the_breaks(x64):
     nodes[0, 1:] = nodes[-1, 1:] = 0.0
     pieces = [quintic(breaks[i], breaks[i + 1], list(nodes[i]), list(nodes[i + 1])) for i in range(3)]
     cubic = boundary_polynomial([3.5, 3.5, 5.0, 5.0], (0, 1, 0, 1), [nodes[-1, 0], 0.0, 0.2, 0.0])
-    curve = jax.jit(jax.vmap(join([*pieces, cubic], jnp.asarray([*breaks, 5.0]))))
+    curve = jax.jit(jax.vmap(side_by_side([*pieces, cubic], jnp.asarray([*breaks, 5.0]))))
     times = np.linspace(1.0, 3.5, 101)
     oracle = BPoly.from_derivatives(breaks, nodes)
     assert np.allclose(curve(jnp.asarray(times)), oracle(times), rtol=0.0, atol=1e-12)
@@ -208,9 +214,12 @@ def test_piecewise_polynomial_belongs_to_the_right_piece_at_a_break(x64):
     def constant(value):
         return boundary_polynomial([0.0, 1.0], (0, 0), [value, value])
 
-    steps = join([constant(1.0), constant(2.0), constant(3.0)], jnp.array([0.0, 1.0, 2.0, 3.0]))
-    at = [float(steps(jnp.asarray(t))) for t in (0.0, 1.0 - 1e-12, 1.0, 2.0 - 1e-12, 2.0, 3.0, 4.0)]
-    assert np.allclose(at, [1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0], atol=1e-12)
+    times = (0.0, 1.0 - 1e-12, 1.0, 2.0 - 1e-12, 2.0, 3.0, 4.0)
+    for others in (0, 2):  # pieces that there is room for, and that are not used
+        pieces = [constant(1.0), constant(2.0), *[constant(9.0)] * others, constant(3.0)]
+        steps = side_by_side(pieces, jnp.array([0.0, 1.0, 2.0, *[3.0] * (others + 1)]), used=1)
+        at = [float(steps(jnp.asarray(t))) for t in times]
+        assert np.allclose(at, [1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [2, 3, 17])
@@ -222,6 +231,9 @@ def test_spline_slopes_are_scipys(count, x64):
     clamped: Any = ((1, 0.3), (1, -0.7))
     oracle = CubicSpline(knots, values, bc_type=clamped)
     assert np.allclose(slopes, oracle(knots, 1), rtol=0.0, atol=1e-12)
+    more, further = np.append(knots, knots[-1] + [1.0, 2.0, 3.0]), np.append(values, [7.0, 8.0, 9.0])
+    roomy = spline_slopes(jnp.asarray(more), jnp.asarray(further), 0.3, -0.7, jnp.asarray(count))
+    assert np.allclose(roomy[:count], slopes, rtol=0.0, atol=1e-12)
 
 
 def test_shift_mirrors_raises_and_delays(x64):

@@ -11,11 +11,12 @@ import numpy as np
 from jaxbiped import robot
 from jaxbiped.adapt import Controller
 from jaxbiped.planner import CosineGait, PolynomialGait, StartStop, own_gait
-from jaxbiped.sim import Options, Scenario, Simulation, Walk, own_options, prepare
+from jaxbiped.sim import Options, Scenario, Walk, own_options, prepare
 
 N_STEPS = 4
 FIRM = Path(__file__).with_name("firm_elkahlout.toml")
 FOREVER = 100.0
+LANES = 4
 STANDS_FOR = 0.5
 """How long a walk is watched after its end [s]."""
 
@@ -81,22 +82,20 @@ def lane(batch: Any, i: int) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[i], batch)
 
 
-@eqx.filter_jit
-def batch(simulation: Simulation, gaits: Any, scenarios: Scenario, shares: Any, ticks: Any) -> Walk:
-    """Walks of many gaits in as many scenarios, with a share of the plan's torque."""
-
-    def one(gait: Any, scenario: Scenario, share: Any) -> Walk:
-        led = simulation.led_by(Controller(gait))
-        return eqx.tree_at(lambda s: s.torque.torque, led, replace_fn=lambda t: share * t).walk(
-            scenario, ticks
-        )
-
-    return eqx.filter_vmap(one)(gaits, scenarios, shares)
-
-
 def run(one: Setup, cases: list[tuple[Any, Scenario]], feed_forward: list[bool] | None = None) -> Walk:
-    """A batch of (gait, scenario), with the plan's torque or without it."""
-    gaits, scenarios = stack([g for g, _ in cases]), stack([s for _, s in cases])
-    shares = jnp.asarray(feed_forward or [True] * len(cases), float)
+    """Walks of (gait, scenario), with the plan's torque or without it: LANES of a gait at a time, by one program."""
     simulation = prepare(one.params, Controller(one.gait), one.options)
-    return batch(simulation, gaits, scenarios, shares, simulation.ticks(one.duration))
+    shares, found = feed_forward or [True] * len(cases), [None] * len(cases)
+    kinds: dict[tuple[int, bool], list[int]] = {}
+    for i, ((gait, _), share) in enumerate(zip(cases, shares, strict=True)):
+        kinds.setdefault((id(gait), share), []).append(i)
+    for (_, share), rows in kinds.items():
+        led = simulation.led_by(Controller(cases[rows[0]][0]))
+        led = eqx.tree_at(lambda s: s.torque.torque, led, replace_fn=lambda t, by=float(share): by * t)
+        for start in range(0, len(rows), LANES):
+            few = rows[start : start + LANES]
+            filled = (few + few[-1:] * LANES)[:LANES]
+            walks = led.run_many(stack([cases[i][1] for i in filled]), one.duration)
+            for k, i in enumerate(few):
+                found[i] = lane(walks, k)
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *found)

@@ -37,7 +37,7 @@ class LandingStage(PlannedStage):
     """Parameters of the stage."""
     T_mod: Scalar
     """Nominal time to set the foot down [s]."""
-    delta_x: Float[Array, "n_steps"]
+    delta_x: Float[Array, "room"]
     """Sagittal distance that the plan's foot covers in its last T_mod, for every step [m]."""
     first_phase: Phase
     """Phase at the start of the walk."""
@@ -46,7 +46,7 @@ class LandingStage(PlannedStage):
     def plan(cls, params: Landing, gait: Gait) -> "LandingStage":
         """Read T_mod and delta_x off the plan."""
         T_mod = nominal_T_mod(gait, params.delta_z) if params.T_mod is None else params.T_mod
-        steps = jnp.arange(gait.timing.n_steps)
+        steps = jnp.arange(gait.timing.room)
         delta_x = jax.vmap(lambda step: _last_way(gait, step, T_mod))(steps)
         return cls(params, T_mod, delta_x, gait.phase(jnp.zeros_like(T_mod)))
 

@@ -266,7 +266,9 @@ def _of_plan(robot: RobotParams, gait: Gait, given: Mapping[str, object]) -> dic
 
 def planned_ripple(robot: RobotParams, gait: Gait, samples_per_step: int = 60) -> Scalar:
     """Greatest deviation of the plan's vertical ground force from the weight [N]: no sign of a load."""
-    times = jnp.linspace(0.0, gait.duration, samples_per_step * (gait.timing.n_steps + 2))
+    timing = gait.timing
+    steps = int(timing.n_steps) if is_concrete(timing) else timing.room
+    times = jnp.linspace(0.0, gait.duration, samples_per_step * (steps + 2))
     force = feasibility(robot, gait, times).ground_force[:, 2]
     return jnp.abs(force - force[0]).max()
 
@@ -274,14 +276,16 @@ def planned_ripple(robot: RobotParams, gait: Gait, samples_per_step: int = 60) -
 @runtime.jit
 def standing_zmp(robot: RobotParams, gait: Gait) -> Scalar:
     """ZMP forward of the pelvis [m] of the robot standing still as in mid double support: its center of mass."""
-    task = gait.task(resume_plan_times(gait)[min(1, gait.timing.n_steps)])
+    task = gait.task(resume_plan_times(gait)[1])
     angle, _ = body.joint_angles(robot, task.sole - task.pelvis)
     pose = body.pose(robot, jnp.zeros(3, angle.dtype), jnp.eye(3, dtype=angle.dtype), angle)
     return body.com(robot, pose)[0]
 
 
 def resume_plan_times(gait: Gait) -> Float[Array, " n"]:
-    """Plan times [s] from which the walk can go on: mid double support before each step, the first and last at rest."""
+    """Plan times [s] from which the walk can go on: at rest, mid double support before each further step, the end."""
     timing = gait.timing
-    middle = timing.liftoff(jnp.arange(1, timing.n_steps)) - 0.5 * (timing.T_c - timing.T_s)
-    return jnp.concatenate([jnp.zeros((1,), middle.dtype), middle, gait.duration[None]])
+    number = jnp.arange(timing.room + 1)
+    middle = timing.liftoff(number) - 0.5 * (timing.T_c - timing.T_s)
+    times = jnp.where(number < timing.n_steps, middle, gait.duration)
+    return jnp.where(number == 0, 0.0, times)

@@ -63,7 +63,7 @@ def moving(states: State, duration: float) -> State:
 def in_double(name: str, make: Callable[[Program], Machine | Lanes]) -> None:
     """Compare a tick from random moving states in double precision with XLA's."""
     one = simulation(name)
-    states = segments._begin(one, scenarios(LANES), jnp.asarray(1000, jnp.int32))
+    states = segments.begun(one, scenarios(LANES), 1000)
     states = moving(states, float(one.controller.gait.duration))
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
     closed = trace(one, shapes)
@@ -198,7 +198,7 @@ def test_walks_do_not_depend_on_the_number_of_lanes_and_threads(
 def test_other_numbers_walk_by_the_same_machine_code(in_c: Simulation):
     """A heavier trunk and softer servos, as a calibration has them one after the other."""
     batch = scenarios(20)
-    machine = backend.machine_of(in_c, segments._begin(in_c, batch, jnp.asarray(1000, jnp.int32)))
+    machine = backend.machine_of(in_c, segments.begun(in_c, batch, 1000))
     own = in_c.run_many(batch, 0.2).statistics
 
     def heavier(one: Simulation) -> Simulation:
@@ -209,7 +209,7 @@ def test_other_numbers_walk_by_the_same_machine_code(in_c: Simulation):
         return prepare(robot, one.controller, one.options)
 
     other, in_xla = heavier(in_c), heavier(simulation("elkahlout", backend="xla"))
-    assert backend.machine_of(other, segments._begin(other, batch, jnp.asarray(1000, jnp.int32))) is machine
+    assert backend.machine_of(other, segments.begun(other, batch, 1000)) is machine
     got, want = (one.run_many(batch, 0.2).statistics for one in (other, in_xla))
     np.testing.assert_allclose(got.foot_force, want.foot_force, atol=2.0)
     ratio = np.asarray(want.foot_force).sum(axis=1) / np.asarray(own.foot_force).sum(axis=1)
@@ -219,7 +219,7 @@ def test_other_numbers_walk_by_the_same_machine_code(in_c: Simulation):
 
 
 def test_wrong_machine_code_is_refused_by_the_name_of_the_variable(in_c: Simulation):
-    states = segments._begin(in_c, scenarios(4), jnp.asarray(1000, jnp.int32))
+    states = segments.begun(in_c, scenarios(4), 1000)
     shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), states)
     closed = trace(in_c, shapes)
     machine, advance = backend.machine_of(in_c, states), Machine.advance
@@ -243,7 +243,7 @@ def strange(one: Simulation, state: State) -> tuple[State, Any]:
 
 
 def test_what_there_is_no_rule_for_is_named(in_c: Simulation):
-    states = segments._begin(in_c, scenarios(4), jnp.asarray(1000, jnp.int32))
+    states = segments.begun(in_c, scenarios(4), 1000)
     with pytest.raises(backend.NotServedError, match=r"cannot do this walk: no rule for the primitive 'erf'"):
         backend.machine_of(in_c, states, strange)
 
@@ -285,7 +285,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def begun() -> tuple[Simulation, State]:
     one = simulation("elkahlout", backend="c")
-    states = segments._begin(one, scenarios(20), jnp.asarray(1000, jnp.int32))
+    states = segments.begun(one, scenarios(20), 1000)
     return one, jax.tree.map(np.asarray, states)
 
 
