@@ -358,7 +358,7 @@ def require_swing_clears(gait: Gait, heights: Mapping[Any, object]) -> None:
             )
 
 
-def require_clear_start(robot: RobotParams, gait: Gait, terrain: Terrain) -> None:
+def require_clear_start(robot: RobotParams, gait: Plan, terrain: Terrain) -> None:
     """Refuse terrain in which a sole of the starting stance overlaps an obstacle or a hole, or touches its edge.
 
     Args:

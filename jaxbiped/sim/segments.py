@@ -162,7 +162,7 @@ def _in_turn(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *walks)
 
 
-def _put(lanes: np.ndarray, old: Array, new: Array) -> Array:
+def _put(lanes: np.ndarray, old: Array | np.ndarray, new: Array) -> Array:
     """The same numbers, with new ones in some lanes."""
     both = np.array(old)
     both[lanes] = new
