@@ -12,11 +12,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbiped import checked, files, planner, robot, runtime, sim
+from jaxbiped import checked, files, robot, sim
 
 OVERWRITE_HELP = (
     "Replace what something else left in the folder; without it nothing is ever replaced or deleted."
@@ -147,12 +145,6 @@ def draw(make: Callable[[ModuleType], Mapping[str, Any]], out: Path) -> list[str
     """Draw and save figures where they can be drawn; returns the names of the files."""
     figures = figures_or_word()
     return [] if figures is None else save(figures, make(figures), out)
-
-
-@runtime.jit
-def targets_at(gait: planner.Gait, times: Float[Array, " n"]) -> planner.Targets:
-    """Targets of a gait at many times [s], as a leading axis."""
-    return jax.vmap(lambda t: planner.at(gait, t))(times)
 
 
 def outcome(walk: sim.Walk) -> dict[str, Any]:

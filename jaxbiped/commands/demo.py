@@ -30,7 +30,6 @@ from jaxbiped.commands.common import (
     refusing,
     require_folder,
     require_free,
-    targets_at,
     whole,
     write,
 )
@@ -223,7 +222,7 @@ def _draw_obstacles(figures: ModuleType, gait: planner.Gait, walks: Mapping[str,
     return {
         "surena3_obstacles_tilt_and_forces": figures.tilt_and_forces(traces, f"Simulated: {what}"),
         "surena3_obstacles_modifications": figures.modifications(
-            adapted, targets_at(gait, adapted.time).position, f"Added to the plan: {what}"
+            adapted, planner.targets_at(gait, adapted.time).position, f"Added to the plan: {what}"
         ),
     }
 
@@ -231,7 +230,7 @@ def _draw_obstacles(figures: ModuleType, gait: planner.Gait, walks: Mapping[str,
 def plan_of(params: robot.RobotParams, gait: planner.Gait) -> Plan:
     """Sample a plan and what it takes."""
     times = planner.sample_times(gait)
-    targets = targets_at(gait, times)
+    targets = planner.targets_at(gait, times)
     report = planner.feasibility(params, gait, times)
     return Plan(params, gait, targets.position, targets.phase, report)
 
@@ -266,7 +265,7 @@ def _draw_elkahlout(figures: ModuleType, walk: Plan) -> dict[str, Any]:
 def _cycle(gait: planner.Gait, samples: int = 1000) -> tuple[np.ndarray, planner.Targets]:
     """One cycle of the cosine gait over the thesis' own time [s], which begins T_ini after the start."""
     time = np.linspace(0.0, 2.0 * float(gait.params.T_c), samples)
-    return time, targets_at(gait, jnp.asarray(time) + gait.params.T_ini)
+    return time, planner.targets_at(gait, jnp.asarray(time) + gait.params.T_ini)
 
 
 def summary_of(walk: Plan) -> dict[str, Any]:

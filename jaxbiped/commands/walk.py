@@ -26,7 +26,6 @@ from jaxbiped.commands.common import (
     refusing,
     require_folder,
     require_free,
-    targets_at,
     write,
 )
 from jaxbiped.commands.walk_input import VARIANTS, Setup, set_up
@@ -167,7 +166,7 @@ def _tell(setup: Setup, walk: sim.Walk) -> Told:
     trace, stage = walk.trace, setup.controller.stage("payload")
     state = None if stage is None else walk.controller.stages["payload"]
     shifts = (0.0, 0.0) if state is None else (float(state.world_shift), float(state.x_shift))
-    plan = targets_at(setup.gait, trace.targets.time).position
+    plan = planner.targets_at(setup.gait, trace.targets.time).position
     return Told(
         setup=setup,
         walk=walk,

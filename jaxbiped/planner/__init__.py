@@ -4,7 +4,7 @@ from jaxbiped.planner import polynomial, support
 from jaxbiped.planner.checks import GaitError, is_concrete
 from jaxbiped.planner.constraints import FRICTION, MIN_KNEE, Violation, violations
 from jaxbiped.planner.cosine_gait import CosineGait, CosineParams
-from jaxbiped.planner.feasibility import Feasibility, feasibility, sample_times
+from jaxbiped.planner.feasibility import Feasibility, feasibility, sample_times, targets_at
 from jaxbiped.planner.gait import GAITS, Gait, own_gait, own_gait_name, register
 from jaxbiped.planner.polynomial_gait import PolynomialGait, PolynomialParams, StartStop
 from jaxbiped.planner.presets import known_infeasible
@@ -55,5 +55,6 @@ __all__ = [
     "register",
     "sample_times",
     "support",
+    "targets_at",
     "violations",
 ]

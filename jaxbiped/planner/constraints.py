@@ -6,7 +6,6 @@ out by a factor of 4 or more from step to step, so that of a long walk only the 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import numpy as np
@@ -16,8 +15,8 @@ from jaxbiped import checked, runtime
 from jaxbiped.checked import Quantity
 from jaxbiped.kinematics import OK, STATUS_TEXT, joint_angles
 from jaxbiped.planner.checks import GaitError
-from jaxbiped.planner.feasibility import BLOCK, Feasibility, in_blocks, judged
-from jaxbiped.planner.targets import Plan, Targets, TaskSpace, at
+from jaxbiped.planner.feasibility import Feasibility, in_blocks, judged, targets_at
+from jaxbiped.planner.targets import Plan, Targets, TaskSpace
 from jaxbiped.robot import JOINT_NAMES, KNEE, SIDE_NAMES, RobotParams
 
 FRICTION = 0.8
@@ -102,7 +101,7 @@ class _Sampled:
     @classmethod
     def of(cls, robot: RobotParams, gait: Plan) -> "_Sampled":
         time, step = _times(gait)
-        targets = runtime.in_blocks(partial(_targets, gait), BLOCK, time)
+        targets = jax.tree.map(np.asarray, targets_at(gait, time))
         return cls(robot, time, step, targets, int(gait.timing.n_steps))
 
     def judged(self) -> tuple[np.ndarray, Feasibility]:
@@ -130,11 +129,6 @@ def _times(gait: Plan) -> tuple[np.ndarray, np.ndarray]:
     sizes = [len(start), *(len(steps[0]) for _ in number), len(stop)]
     step = np.repeat(np.pad(number, 1, mode="edge"), sizes)
     return time.astype(duration.dtype), step
-
-
-@runtime.jit
-def _targets(gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Targets:
-    return jax.vmap(lambda t: at(gait, t))(times)
 
 
 @runtime.jit

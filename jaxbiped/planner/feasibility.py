@@ -143,7 +143,7 @@ def instant(robot: RobotParams, gait: Plan | Frozen, t: Float[Array, ""]) -> Fea
 
 def feasibility(robot: RobotParams, gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Feasibility:
     """Feasibility of a gait at many times [s], as a leading axis. Differentiable in robot and gait."""
-    found = of_targets(robot, _targets(gait, times))
+    found = of_targets(robot, targets_at(gait, times))
     return eqx.tree_at(lambda f: f.time, found, jnp.asarray(times))
 
 
@@ -163,6 +163,13 @@ def in_blocks(
     """A compiled function of targets, which have a leading axis, called with BLOCK of them at a time; on the host."""
     nameless = replace(robot, name="any", walks_like="")  # names would be compiled in
     return runtime.in_blocks(partial(function, nameless), BLOCK, targets)
+
+
+def targets_at(gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Targets:
+    """Targets of a plan at many times [s], as a leading axis; where all is known, block by block."""
+    if not is_concrete(gait, times):
+        return _targets(gait, times)
+    return jax.tree.map(jnp.asarray, runtime.in_blocks(partial(_targets, gait), BLOCK, times))
 
 
 @runtime.jit

@@ -29,7 +29,7 @@ def as_scalar(value: Scalar) -> Float[Array, ""]:
 
 
 class Polynomial(eqx.Module):
-    """A polynomial of time about `centre`, in the scaled time s = (t - centre) / scale; or many, with a leading axis."""
+    """A polynomial of time about `centre`, in the scaled time s = (t - centre) / scale; or many, by a leading axis."""
 
     coefficients: Float[Array, "*many n"]
     """Coefficients of s**0, s**1, ..."""

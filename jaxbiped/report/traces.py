@@ -6,11 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbiped import runtime
 from jaxbiped.adapt import PayloadReflex
-from jaxbiped.kinematics import dynamics
-from jaxbiped.planner import PLANNED_STEP, RECOVERY_STEP, REFLEX_STEP, Targets, TaskSpace, support
-from jaxbiped.planner.feasibility import motion_of, zmp_of
+from jaxbiped.planner import PLANNED_STEP, RECOVERY_STEP, REFLEX_STEP, TaskSpace
+from jaxbiped.planner.feasibility import of_targets
 from jaxbiped.robot import RobotParams
 from jaxbiped.score import walked_rows
 from jaxbiped.sim import Sample
@@ -42,20 +40,10 @@ class Commanded(eqx.Module):
     """Upper corner of the support polygon's bounding box [m]."""
 
 
-@runtime.jit
 def commanded(robot: RobotParams, trace: Sample) -> Commanded:
     """ZMP and support of the commanded motion at every sample of a trace; where no stage acts, those of the plan."""
-
-    def one(targets: Targets, time: Float[Array, ""]) -> Commanded:
-        def task(t: Float[Array, ""]) -> TaskSpace:
-            dt, orders = t - time, (targets.position, targets.velocity, targets.acceleration)
-            return jax.tree.map(lambda p, v, a: p + dt * (v + 0.5 * dt * a), *orders)
-
-        wrench = dynamics.evaluate(robot, motion_of(robot, task), time).ground_wrench
-        corners = support.corners(robot, targets.position)
-        return Commanded(zmp_of(wrench), *support.box(corners, support.loaded(targets.phase)))
-
-    return jax.vmap(one)(jax.tree.map(jnp.asarray, trace.targets), jnp.asarray(trace.time))
+    found = of_targets(robot, trace.targets)  # by the program that judges plans
+    return Commanded(found.zmp, found.support_lower, found.support_upper)
 
 
 def nominal(plan: TaskSpace, trace: Sample, world_shift: float = 0.0, x_shift: float = 0.0) -> TaskSpace:

@@ -41,8 +41,10 @@ def none() -> FeedForward:
 
 
 def rows(gait: Plan, interval: float = 0.005) -> int:
-    """Rows of a table for a gait, also if it is tuned and lasts longer; whole batches, for others compile anew."""
-    return _TOGETHER * (int(_LONGER * float(gait.duration) / interval + 2) // _TOGETHER + 1)
+    """Rows of a table for a gait, also if it is tuned and lasts longer; as many for every gait with its room."""
+    timing = gait.timing
+    longest = float(gait.duration) + (timing.room - int(timing.n_steps)) * float(timing.T_c)
+    return _TOGETHER * (int(_LONGER * longest / interval + 2) // _TOGETHER + 1)
 
 
 def plan(robot: RobotParams, gait: Plan, rows: int, interval: float = 0.005) -> FeedForward:

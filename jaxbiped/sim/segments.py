@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbiped import runtime
+from jaxbiped.adapt import Controller
 from jaxbiped.planner import at
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
@@ -99,20 +100,22 @@ def rounded(lanes: int) -> int:
 def begun(simulation: PureSimulation, scenarios: Scenario, ticks: int) -> State:
     """The walks' states at their start, with so many control ticks ahead.
 
-    One program begins any number of walks, by any engine and backend, see `runtime.in_blocks`.
+    One program begins any number of walks, whatever the stages, the length of a tick, engine and backend: what depends
+    on them is put in afterwards.
     """
-    n, o = len(scenarios.ground.sinkage), simulation.options
-    options = Options(
-        dt=o.dt,
-        control_every=o.control_every,
-        feed_forward=o.feed_forward,
-        payload_model=o.payload_model,
-        noise=o.noise,
-        delay_room=o.delay_room,
+    n, options = len(scenarios.ground.sinkage), simulation.options
+    plain = Options(payload_model=options.payload_model, delay_room=options.delay_room)
+    if options.noise:  # the last reading but one was a tick ago
+        timed = {"dt": options.dt, "control_every": options.control_every, "noise": True}
+        plain = dataclasses.replace(plain, **timed)
+    bare = dataclasses.replace(
+        nameless(simulation), controller=Controller(simulation.controller.gait), options=plain
     )
-    one = dataclasses.replace(nameless(simulation), options=options)
     block = BLOCK if n <= LARGE_BLOCK else LARGE_BLOCK
-    states = runtime.in_blocks(partial(_begin, one, ticks=_count(ticks)), block, scenarios)
+    states = runtime.in_blocks(partial(_begin, bare, ticks=_count(ticks)), block, scenarios)
+    own = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (n, *leaf.shape)), simulation.controller.init())
+    time = np.full_like(states.next_time, options.control_dt)
+    states = eqx.tree_at(lambda s: (s.controller, s.next_time), states, (own, time))
     return jax.tree.map(
         jnp.asarray, states
     )  # as they come from a segment: JAX compiles for NumPy's arrays anew

@@ -24,7 +24,7 @@ def surena() -> Simulation:
 
 
 def test_one_program_for_every_duration_and_robot_of_a_kind(surena, compilations):
-    """Durations, masses, soles and gait are numbers; another number of lanes is another program."""
+    """Durations, masses, soles and gait are numbers, as are up to 8 steps, rectangles up to 4 and lanes up to 4."""
     params = surena.robot
     scenarios = jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), Scenario.flat(1))
     jax.block_until_ready(surena.run_many(scenarios, 0.1))
@@ -43,8 +43,17 @@ def test_one_program_for_every_duration_and_robot_of_a_kind(surena, compilations
     force = heavier.run_many(scenarios, 0.3).statistics.peak_foot_force
     assert len(compilations) == before
     assert np.all(force > 1.05 * surena.run_many(scenarios, 0.3).statistics.peak_foot_force)
-    three = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), Scenario.flat(1))
-    surena.run_many(three, 0.1)
+    three = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), Scenario.flat(3))
+    longer = prepare(
+        dataclasses.replace(params, name="mine"),
+        Controller(PolynomialGait.preset(params, 5, robot.RIGHT), Landing.repaired()),
+        dataclasses.replace(COARSE, backend="xla"),
+    )
+    before = len(compilations)
+    walks = longer.run_many(three, 0.3)
+    assert len(compilations) == before and walks.statistics.status.shape == (3,)
+    five = jax.tree.map(lambda leaf: jnp.stack([leaf] * 5), Scenario.flat(1))
+    surena.run_many(five, 0.1)
     assert len(compilations) > before  # the listener listens
 
 
