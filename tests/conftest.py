@@ -88,13 +88,13 @@ def x64() -> Iterator[None]:
 
 @pytest.fixture
 def compilations() -> Iterator[list[str]]:
-    """Grows by one entry with every program that XLA is given, from its cache or not."""
-    events: list[str] = []
+    """Grows by one name with every program that XLA is given, from its cache or not."""
+    names: list[str] = []
 
-    def listener(event: str, *_, **__) -> None:
+    def listener(event: str, *_, **more) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
-            events.append(event)
+            names.append(str(more.get("fun_name")))
 
     jax.monitoring.register_event_duration_secs_listener(listener)
-    yield events
+    yield names
     jax.monitoring.unregister_event_duration_listener(listener)

@@ -81,6 +81,7 @@ class BodyMotion(eqx.Module):
 def base_model(robot: RobotParams) -> Model:
     """MJX model of the nominal robot with an empty payload body welded to the trunk."""
     spec = build_spec(robot)
+    spec.modelname = "any"  # robots of a kind share programs, in which MJX keeps all names
     _add_payload(spec)
     model = spec.compile()
     model.opt.disableflags |= int(

@@ -307,8 +307,9 @@ def with_room(scenarios: Scenario) -> Scenario:
     """The same scenarios, with a leading axis, with room for a multiple of ROOM rectangles."""
     missing = -scenarios.terrain.height.shape[1] % ROOM
 
-    def padded(leaf: Array) -> Array:
-        return jnp.pad(leaf, [(0, 0), (0, missing), *[(0, 0)] * (leaf.ndim - 2)])
+    def padded(leaf: Array) -> Array | np.ndarray:
+        pad = np.pad if is_concrete(leaf) else jnp.pad  # JAX would compile it for every number of scenarios
+        return pad(leaf, [(0, 0), (0, missing), *[(0, 0)] * (leaf.ndim - 2)])
 
     if not missing:
         return scenarios

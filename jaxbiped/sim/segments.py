@@ -20,7 +20,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbiped import runtime
-from jaxbiped.adapt import Controller
 from jaxbiped.planner import at
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
@@ -108,9 +107,9 @@ def begun(simulation: PureSimulation, scenarios: Scenario, ticks: int) -> State:
     if options.noise:  # the last reading but one was a tick ago
         timed = {"dt": options.dt, "control_every": options.control_every, "noise": True}
         plain = dataclasses.replace(plain, **timed)
-    bare = dataclasses.replace(
-        nameless(simulation), controller=Controller(simulation.controller.gait), options=plain
-    )
+    bare = dataclasses.replace(nameless(simulation), options=plain)
+    if simulation.controller.stages:
+        bare = eqx.tree_at(lambda s: s.controller.stages, bare, ())
     block = BLOCK if n <= LARGE_BLOCK else LARGE_BLOCK
     states = runtime.in_blocks(partial(_begin, bare, ticks=_count(ticks)), block, scenarios)
     own = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (n, *leaf.shape)), simulation.controller.init())

@@ -107,7 +107,10 @@ def require_allowed(
     DURATION.check("duration", duration)
     require_clear_start(robot, controller.gait, scenarios.terrain)
     if is_concrete(scenarios):
-        gains, sinkage = np.max(scenarios.errors.gain_scale), np.min(scenarios.ground.sinkage)
+        gains, sinkage = (
+            np.max(np.asarray(scenarios.errors.gain_scale)),
+            np.min(np.asarray(scenarios.ground.sinkage)),
+        )
         require_stable_dt(robot, options.dt, float(sinkage), float(gains), options.implicit)
     if options.contact == MJX:
         mjx_contacts.check_terrain(scenarios.terrain)

@@ -51,10 +51,11 @@ def test_one_program_for_every_duration_and_robot_of_a_kind(surena, compilations
     )
     before = len(compilations)
     walks = longer.run_many(three, 0.3)
-    assert len(compilations) == before and walks.statistics.status.shape == (3,)
+    assert walks.statistics.status.shape == (3,)
+    assert not {"jit(_begin)", "jit(_segment)"} & {*compilations[before:]}
     five = jax.tree.map(lambda leaf: jnp.stack([leaf] * 5), Scenario.flat(1))
     surena.run_many(five, 0.1)
-    assert len(compilations) > before  # the listener listens
+    assert "jit(_segment)" in compilations[before:]  # the listener listens
 
 
 def test_one_program_for_every_duration_with_a_trace(surena, compilations):

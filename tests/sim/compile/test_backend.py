@@ -120,7 +120,7 @@ def noisy(batch: Scenario) -> Scenario:
 
 def test_noise_is_that_of_xla():
     """Until touchdowns amplify rounding; it moves the instants of some reflexes, and so the ZMP."""
-    batch = noisy(scenarios(20))
+    batch = noisy(scenarios(16))
     ours, theirs = (
         simulation("elkahlout", backend=name, noise=True).run_many(batch, 0.4).statistics
         for name in ("c", "xla")
@@ -129,7 +129,7 @@ def test_noise_is_that_of_xla():
         size = max(1.0, np.abs(np.asarray(b)[np.isfinite(b)]).max(initial=0.0))
         np.testing.assert_allclose(a, b, rtol=0.0, atol=5e-3 * size, err_msg=jax.tree_util.keystr(path))
     calm = np.asarray(
-        simulation("elkahlout", backend="xla").run_many(scenarios(20), 0.4).statistics.zmp_margin
+        simulation("elkahlout", backend="xla").run_many(scenarios(16), 0.4).statistics.zmp_margin
     )
     moved = np.abs(np.asarray(theirs.zmp_margin) - calm) > 1e-3
     assert moved.sum() >= 2
@@ -138,12 +138,12 @@ def test_noise_is_that_of_xla():
 
 def test_traces_are_those_of_xla():
     """Row by row; a walk that has failed stands still in both."""
-    batch = scenarios(20)
+    batch = scenarios(16)
     ours, theirs = (
         simulation("elkahlout", backend=name, trace_every=20).run_many(batch, 0.9) for name in ("c", "xla")
     )
     assert ours.trace is not None and theirs.trace is not None
-    assert ours.trace.time.shape == (20, 90) and ours.trace.qpos.shape == theirs.trace.qpos.shape
+    assert ours.trace.time.shape == (16, 90) and ours.trace.qpos.shape == theirs.trace.qpos.shape
     np.testing.assert_array_equal(ours.trace.targets.phase.step, theirs.trace.targets.phase.step)
     for (path, a), b in zip(
         jax.tree_util.tree_leaves_with_path(ours.trace), jax.tree.leaves(theirs.trace), strict=True
@@ -158,7 +158,7 @@ def test_traces_are_those_of_xla():
 
 def test_walks_are_those_of_xla(in_c: Simulation):
     """As close as XLA's own walks are if all masses are changed by their last bit: touchdowns amplify rounding."""
-    batch, in_xla = scenarios(20), simulation("elkahlout", backend="xla")
+    batch, in_xla = scenarios(16), simulation("elkahlout", backend="xla")
     nudged = eqx.tree_at(
         lambda s: s.errors.mass_scale, batch, batch.errors.mass_scale * np.float32(1.0 + 1.2e-7)
     )
@@ -197,7 +197,7 @@ def test_walks_do_not_depend_on_the_number_of_lanes_and_threads(
 
 def test_other_numbers_walk_by_the_same_machine_code(in_c: Simulation):
     """A heavier trunk and softer servos, as a calibration has them one after the other."""
-    batch = scenarios(20)
+    batch = scenarios(16)
     machine = backend.machine_of(in_c, segments.begun(in_c, batch, 1000))
     own = in_c.run_many(batch, 0.2).statistics
 
@@ -285,7 +285,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def begun() -> tuple[Simulation, State]:
     one = simulation("elkahlout", backend="c")
-    states = segments.begun(one, scenarios(20), 1000)
+    states = segments.begun(one, scenarios(16), 1000)
     return one, jax.tree.map(np.asarray, states)
 
 
