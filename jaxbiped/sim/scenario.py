@@ -307,7 +307,7 @@ def with_room(scenarios: Scenario) -> Scenario:
     """The same scenarios, with a leading axis, with room for a multiple of ROOM rectangles."""
     missing = -scenarios.terrain.height.shape[1] % ROOM
 
-    def padded(leaf: Array) -> Array | np.ndarray:
+    def padded(leaf: Array | np.ndarray) -> Array | np.ndarray:
         pad = np.pad if is_concrete(leaf) else jnp.pad  # JAX would compile it for every number of scenarios
         return pad(leaf, [(0, 0), (0, missing), *[(0, 0)] * (leaf.ndim - 2)])
 
