@@ -133,9 +133,7 @@ def test_noise_is_that_of_xla():
     for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
         size = max(1.0, np.abs(np.asarray(b)[np.isfinite(b)]).max(initial=0.0))
         np.testing.assert_allclose(a, b, rtol=0.0, atol=5e-3 * size, err_msg=jax.tree_util.keystr(path))
-    calm = np.asarray(
-        simulation("elkahlout", backend="xla").run_many(sixteen(), 0.4).statistics.zmp_margin
-    )
+    calm = np.asarray(simulation("elkahlout", backend="xla").run_many(sixteen(), 0.4).statistics.zmp_margin)
     moved = np.abs(np.asarray(theirs.zmp_margin) - calm) > 1e-3
     assert moved.sum() >= 2
     np.testing.assert_allclose(ours.zmp_margin, theirs.zmp_margin, atol=2e-4)
