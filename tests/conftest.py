@@ -23,19 +23,22 @@ _keep_compiled_kernels()
 
 LONGEST = (
     "sim/compile/test_backend.py",
-    "tune/test_walks_in_c.py",
-    "sim/test_laws.py",
-    "test_cli_walk.py",
-    "sim/test_simulation.py",
-    "test_cli_batch.py",
-    "sim/test_thesis.py",
-    "batch/test_run.py",
+    "sim/test_walks.py",
     "tune/test_value_and_grad.py",
+    "tune/test_walks_in_c.py",
+    "test_cli_batch.py",
+    "sim/test_stability.py",
     "sim/test_c_mujoco.py",
-    "batch/test_backends.py",
-    "sim/test_inputs_walked.py",
-    "sim/test_spatial.py",
+    "sim/test_thesis.py",
     "sim/test_controller_c.py",
+    "sim/test_laws.py",
+    "tune/test_kernels.py",
+    "adapt/test_payload.py",
+    "sim/test_sensors.py",
+    "test_cli_walk.py",
+    "adapt/test_event_instants.py",
+    "sim/test_simulation.py",
+    "batch/test_run.py",
 )
 """Files that take longest, which go first: with the last of them at the end one process would wait for the other."""
 

@@ -26,8 +26,6 @@ MAX_BATCH = 65536
 MAX_LANES = {XLA: 128, C: 256, SCALAR: 65_536}
 """By backend, most walks at once where nobody says otherwise: more are no faster on a core, or hardly, and hardly on a
 GPU, which scalars are for."""
-LANE_STEP = 8
-"""Lanes are a multiple of this, so that grids of nearly the same size share what was compiled."""
 MAX_TURNS, MIN_CHUNKS = 4, 32
 """Most scenarios that a lane takes one after the other, and fewest chunks of a variant at that."""
 PAGES = Word(("overview", "payload", "obstacles"), "what is drawn of the results, see `report.pages`")
@@ -182,7 +180,7 @@ class Experiment:
         if self.batch is not None:
             return min(int(self.batch), n)
         chunks = -(-n // MAX_LANES[self.simulation.backend])
-        return min(-(-n // (chunks * LANE_STEP)) * LANE_STEP, n)
+        return -(-n // chunks)
 
     @cached_property
     def chunk_rows(self) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxbiped import adapt, planner, robot, sim
 from jaxbiped.planner.polynomial import PiecewisePolynomial, Polynomial
-from jaxbiped.planner.targets import Phase
+from jaxbiped.planner.targets import Phase, as_count, room_for
 from jaxbiped.sim import scenario
 
 RECORDS: dict[str, type[eqx.Module]] = {
@@ -173,6 +173,9 @@ def _record(data: dict[str, Any]) -> Any:  # noqa: ANN401
     if made is adapt.Controller and "stages" not in given:  # until format 2
         both = (given.pop("payload"), given.pop("landing"))
         given["stages"] = tuple(stage for stage in both if stage is not None)
+    if "room" in fields and "room" not in given:  # until numbers of steps shared programs
+        counts = {key: as_count(given[key]) for key in ("n_steps", "first_swing")}
+        given |= {**counts, "room": room_for(int(given["n_steps"]))}
     # What a version had not yet, it has by default now.
     given = {
         **{key: _default(f) for key, f in fields.items() if f.default is not dataclasses.MISSING},

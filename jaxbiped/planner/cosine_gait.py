@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import MOST_STEPS, require
+from jaxbiped.planner.checks import require
 from jaxbiped.planner.gait import PlannedGait, register
 from jaxbiped.planner.polynomial import Polynomial, as_scalar, quintic
 from jaxbiped.planner.targets import Count, TaskSpace, Timing, as_count
@@ -94,7 +94,8 @@ class CosineGait(PlannedGait):
     """Lateral pelvis position from rest [m]."""
     sway_out: Polynomial
     """Lateral pelvis position to rest [m]."""
-    room: int = eqx.field(static=True, default=MOST_STEPS)
+    room: int = eqx.field(static=True)
+    """Number of steps that tables have room for."""
 
     @classmethod
     def require_sane(cls, robot: RobotParams, params: CosineParams) -> None:

@@ -1,7 +1,6 @@
 """Can this robot walk this plan? ZMP, friction, torque, speed, knee of the multibody model (khadiv 2.2)."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -15,7 +14,7 @@ from jaxbiped.kinematics import Motion, MotionState, Wrench, body, dynamics, joi
 from jaxbiped.planner import support
 from jaxbiped.planner.checks import is_concrete
 from jaxbiped.planner.targets import DOUBLE_SUPPORT, Phase, Plan, Targets, TaskSpace, at
-from jaxbiped.robot import KNEE, RobotParams
+from jaxbiped.robot import KNEE, RobotParams, nameless
 
 BLOCK = 512
 """Instants that are judged at once."""
@@ -161,8 +160,7 @@ def in_blocks(
     function: Callable[[RobotParams, Targets], PyTree], robot: RobotParams, targets: Targets
 ) -> PyTree:
     """A compiled function of targets, which have a leading axis, called with BLOCK of them at a time; on the host."""
-    nameless = replace(robot, name="any", walks_like="")  # names would be compiled in
-    return runtime.in_blocks(partial(function, nameless), BLOCK, targets)
+    return runtime.in_blocks(partial(function, nameless(robot)), BLOCK, targets)
 
 
 def targets_at(gait: Plan, times: Float[Array | np.ndarray, " n"]) -> Targets:

@@ -213,8 +213,8 @@ class PlannedGait(eqx.Module):
             GaitError: if the parameters cannot be walked by this robot: out of bounds, a foot out of reach, or a
                 constraint broken (only where their values are known: what is traced is not judged).
         """
-        steps = (*require_steps(n_steps, first_swing), room_for(int(n_steps)))
-        return cls._made(robot, params, steps, friction, allow_infeasible)
+        number, foot = require_steps(n_steps, first_swing)
+        return cls._made(robot, params, (number, foot, room_for(number)), friction, allow_infeasible)
 
     def replanned(
         self: _Planned, robot: RobotParams, params: eqx.Module, *, allow_infeasible: bool = False

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbiped import runtime
 from jaxbiped.checked import Quantity
-from jaxbiped.planner.checks import MOST_STEPS, require
+from jaxbiped.planner.checks import require
 from jaxbiped.planner.gait import PlannedGait, register
 from jaxbiped.planner.polynomial import (
     PiecewisePolynomial,
@@ -223,7 +223,8 @@ class PolynomialGait(PlannedGait):
     """Lateral pelvis position in the world [m]."""
     pelvis_z: PiecewisePolynomial
     """Pelvis height in the world [m]."""
-    room: int = eqx.field(static=True, default=MOST_STEPS)
+    room: int = eqx.field(static=True)
+    """Number of steps that tables have room for."""
 
     @classmethod
     def require_sane(cls, robot: RobotParams, params: PolynomialParams) -> None:

@@ -7,15 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxbiped.planner.checks import MOST_STEPS
-
 SINGLE_SUPPORT, DOUBLE_SUPPORT = 0, 1
 PLANNED_STEP, REFLEX_STEP, RECOVERY_STEP = 0, 1, 2
 """A step of the gait, or what an adaptation does in its place: stand still, and make up for it."""
 ROOM = 8
 """Plans have room for a multiple of so many steps."""
-
-
 Count = int | Int[Array, ""]
 """A whole number that may be traced."""
 
@@ -75,7 +71,7 @@ class Timing(eqx.Module):
     """Number of steps."""
     first_swing: Int[Array, ""] = eqx.field(converter=as_count)
     """The foot that swings first, 0 left or 1 right."""
-    room: int = eqx.field(static=True, default=MOST_STEPS)
+    room: int = eqx.field(static=True)
     """Number of steps that tables have room for."""
 
     def liftoff(self, step: int | Int[Array, "*n"]) -> Float[Array, "*n"]:

@@ -15,6 +15,7 @@ from jaxbiped.robot.params import (
     Links,
     RobotParams,
     Servo,
+    nameless,
     on_device,
 )
 
@@ -36,6 +37,7 @@ __all__ = [
     "Setting",
     "defaults",
     "load",
+    "nameless",
     "numbers",
     "on_device",
     "presets",

@@ -9,6 +9,7 @@ default float: by `jit`, which does so with all that it is given, and by `on_dev
 robot outside of `jit`, or one is kept. What is meant for the inside of `jit` alone expects a robot that is converted.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -94,6 +95,11 @@ class RobotParams(eqx.Module):
     def total_mass(self) -> Float[HostOrDevice, "*batch"]:
         """Mass of the whole robot [kg]."""
         return self.links.mass.sum(-1)
+
+
+def nameless(robot: RobotParams) -> RobotParams:
+    """The same robot by a name that all share: names are compiled in, and robots of a kind are to share programs."""
+    return dataclasses.replace(robot, name="any", walks_like="")
 
 
 def on_device(robot: RobotParams) -> RobotParams:

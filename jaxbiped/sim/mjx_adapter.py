@@ -22,7 +22,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its optional 
     from mujoco.mjx._src import smooth, support
     from mujoco.mjx._src.forward import _integrate_pos
 
-from jaxbiped.robot import LEFT, RIGHT, RobotParams
+from jaxbiped.robot import LEFT, RIGHT, RobotParams, nameless
 from jaxbiped.robot.layout import BASE, BIPED, IMAGINARY, POSITION, QUATERNION, REAL
 from jaxbiped.sim import spatial
 from jaxbiped.sim.model import build_spec
@@ -80,8 +80,7 @@ class BodyMotion(eqx.Module):
 
 def base_model(robot: RobotParams) -> Model:
     """MJX model of the nominal robot with an empty payload body welded to the trunk."""
-    spec = build_spec(robot)
-    spec.modelname = "any"  # robots of a kind share programs, in which MJX keeps all names
+    spec = build_spec(nameless(robot))
     _add_payload(spec)
     model = spec.compile()
     model.opt.disableflags |= int(

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Int
 
 from jaxbiped import runtime
 from jaxbiped.planner import at
+from jaxbiped.robot import nameless
 from jaxbiped.sim.compile import backend
 from jaxbiped.sim.compile.trace import shared_leaves
 from jaxbiped.sim.options import COMPLIANT, XLA, Options
@@ -37,7 +38,7 @@ STARTING, COMPILING, WALKING = "getting the start ready", "getting the walk read
 """Said of a run while it goes on. Getting ready is tracing and compiling, or finding in the cache what was compiled."""
 MAX_ROWS = 25
 """Rows of a trace in a segment, where a trace is asked for."""
-FEW_LANES = (4, 16, 64)
+FEW_LANES = (4, 16, 32)
 """Numbers of lanes that XLA compiles for; beyond the last one, its multiples."""
 BLOCK, LARGE_BLOCK = 16, 1024
 """Walks that are begun at once, and if there are many."""
@@ -63,7 +64,7 @@ def run(
 def _run(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told, lanes: int | None) -> Walk:
     n = len(scenarios.ground.sinkage)
     chosen = backend.chosen(simulation.options, n * ticks * simulation.options.control_every)
-    every, simulation = simulation.options.trace_every, nameless(simulation)
+    every, simulation = simulation.options.trace_every, _bare(simulation)
     if simulation.options.contact == COMPLIANT:
         scenarios = with_room(scenarios)
     if every:
@@ -79,11 +80,10 @@ def _run(simulation: PureSimulation, scenarios: Scenario, ticks: int, told: Told
     return _in_turn(simulation, scenarios, ticks, told, further, lanes)
 
 
-def nameless(simulation: PureSimulation) -> PureSimulation:
+def _bare(simulation: PureSimulation) -> PureSimulation:
     """The same simulation without what would be compiled in and does not matter to a tick: names, and the trace."""
-    robot = dataclasses.replace(simulation.robot, name="any", walks_like="")
     options = dataclasses.replace(simulation.options, trace_every=0)
-    return dataclasses.replace(simulation, robot=robot, options=options)
+    return dataclasses.replace(simulation, robot=nameless(simulation.robot), options=options)
 
 
 def _for_xla(simulation: PureSimulation) -> PureSimulation:
@@ -99,25 +99,23 @@ def rounded(lanes: int) -> int:
 def begun(simulation: PureSimulation, scenarios: Scenario, ticks: int) -> State:
     """The walks' states at their start, with so many control ticks ahead.
 
-    One program begins any number of walks, whatever the stages, the length of a tick, engine and backend: what depends
-    on them is put in afterwards.
+    One program begins any number of walks, whatever the stages, engine, backend and (without noise) length of a tick:
+    what depends on them is put in afterwards.
     """
     n, options = len(scenarios.ground.sinkage), simulation.options
     plain = Options(payload_model=options.payload_model, delay_room=options.delay_room)
     if options.noise:  # the last reading but one was a tick ago
         timed = {"dt": options.dt, "control_every": options.control_every, "noise": True}
         plain = dataclasses.replace(plain, **timed)
-    bare = dataclasses.replace(nameless(simulation), options=plain)
+    one = dataclasses.replace(simulation, robot=nameless(simulation.robot), options=plain)
     if simulation.controller.stages:
-        bare = eqx.tree_at(lambda s: s.controller.stages, bare, ())
+        one = eqx.tree_at(lambda s: s.controller.stages, one, ())
     block = BLOCK if n <= LARGE_BLOCK else LARGE_BLOCK
-    states = runtime.in_blocks(partial(_begin, bare, ticks=_count(ticks)), block, scenarios)
+    states = runtime.in_blocks(partial(_begin, one, ticks=_count(ticks)), block, scenarios)
     own = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (n, *leaf.shape)), simulation.controller.init())
     time = np.full_like(states.next_time, options.control_dt)
     states = eqx.tree_at(lambda s: (s.controller, s.next_time), states, (own, time))
-    return jax.tree.map(
-        jnp.asarray, states
-    )  # as they come from a segment: JAX compiles for NumPy's arrays anew
+    return jax.tree.map(jnp.asarray, states)  # JAX compiles for NumPy's arrays anew
 
 
 def _at_once(

@@ -49,8 +49,8 @@ class Simulation(PureSimulation):
             scenarios: what is walked in.
             duration: how long every walk is [s].
             told: is told from time to time which fraction of the walks is done.
-            lanes: how many walk at once, a lane that has finished taking the next scenario; None: all of them, as
-                always in C MuJoCo.
+            lanes: how many walk at once, by XLA some more (see `segments.rounded`), a lane that has finished taking
+                the next scenario; None: all of them, as always in C MuJoCo.
 
         Raises:
             ValueError: for a duration, a terrain or a tick that is not allowed.

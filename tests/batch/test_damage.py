@@ -12,6 +12,7 @@ import pytest
 
 from jaxbiped import adapt, batch, planner, robot
 from jaxbiped.batch import store
+from jaxbiped.sim import feed_forward
 
 OLD = Path(__file__).with_name("folders_of_0_1")
 OLDEST = ("elkahlout", "surena3")
@@ -285,6 +286,12 @@ def test_folders_of_version_0_1_still_open(name):
         assert set(one.table.columns) - set(rows.columns) == {"load_end_s"}
         assert set(one.table["load_end_s"]) == {batch.NEVER}
     assert "jaxbiped." not in json.dumps(one.resolved)  # names of records, no places in the code
+    for (
+        controller
+    ) in one.variants.values():  # walks, by a table of torques as long as that of such a plan today
+        gait = controller.gait
+        again = gait.replanned(one.robot, gait.params, allow_infeasible=True)
+        assert gait.room == 8 and feed_forward.rows(gait) == feed_forward.rows(again)
 
 
 def test_a_part_of_version_0_1_is_judged_by_its_rows(tmp_path):

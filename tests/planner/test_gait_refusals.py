@@ -132,7 +132,7 @@ class Stretch(eqx.Module):
 
 @pytest.mark.parametrize("at", [0.7, 100.0, 100.45, 178.6])
 def test_a_foot_beyond_reach_for_a_moment_of_a_long_walk(surena3, at):
-    timing = Timing(jnp.array(1.5), jnp.array(1.2), jnp.array(1.8), 100, LEFT)
+    timing = Timing(jnp.array(1.5), jnp.array(1.2), jnp.array(1.8), 100, LEFT, 104)
     with pytest.raises(GaitError, match="out of reach at t = "):
         require_reach(surena3, Stretch(at, jnp.array(180.0), timing))
 

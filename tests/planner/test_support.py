@@ -100,5 +100,5 @@ def test_corners_are_those_of_the_robots_soles(name):
 )
 def test_loaded_are_the_corners_of_the_feet_on_the_ground(t, feet):
     seconds = [jnp.asarray(s) for s in (1.0, 1.0, 2.0)]
-    phase = step_phase(Timing(*seconds, n_steps=2, first_swing=0), jnp.asarray(t))
+    phase = step_phase(Timing(*seconds, n_steps=2, first_swing=0, room=8), jnp.asarray(t))
     assert np.array_equal(support.loaded(phase), np.repeat(feet, 4))

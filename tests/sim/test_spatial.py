@@ -1,7 +1,5 @@
 """What a tick is differentiated by: inverse dynamics against C MuJoCo, derivatives against finite differences."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +9,7 @@ import pytest
 from c_mujoco import PRESETS, as_arrays, load, motions, random_states, with_cube
 from numpy.testing import assert_allclose
 
+from jaxbiped import robot
 from jaxbiped.sim import Scenario, ground, mjx_adapter, plant
 
 STATES = 20
@@ -23,17 +22,14 @@ STEP = 1e-6
 def loaded(request, x64):
     """A robot that carries a load, as a plant, and random states of it."""
     params = load(request.param)
-    world = plant.make_plant(params, mjx_adapter.base_model(params), Scenario.flat(1).with_payload(LOAD, 0.0))
+    world = plant.make_plant(
+        robot.nameless(params), mjx_adapter.base_model(params), Scenario.flat(1).with_payload(LOAD, 0.0)
+    )
     return params, world, as_arrays(*random_states(params, STATES, seed=5))
 
 
 def model_of(world):
     return mjx_adapter.with_masses(world.model, *world.after)
-
-
-def nameless(world):
-    """The same plant, by a name that all robots share, so that they share programs."""
-    return dataclasses.replace(world, robot=dataclasses.replace(world.robot, name="any", walks_like=""))
 
 
 def relative(got, wanted):
@@ -106,7 +102,7 @@ def motion_by_mass(world, state, mass, rate):
 def test_a_motion_is_differentiated_by_the_masses_too(loaded):
     _, world, (qpos, qvel) = loaded
     (_, got), (ahead, _), (behind, _) = (
-        motion_by_mass(nameless(world), (qpos[0], qvel[0]), jnp.asarray(LOAD + by), jnp.ones(()))
+        motion_by_mass(world, (qpos[0], qvel[0]), jnp.asarray(LOAD + by), jnp.ones(()))
         for by in (0.0, 1e-3, -1e-3)
     )
     for name in ("centre", "dof_axes", "link_inertia", "mass_matrix", "bias"):
@@ -197,5 +193,5 @@ def gap(world, state):
 
 def test_reverse_mode_is_the_transpose(standing):
     world, qpos, qvel = standing
-    for difference, size in gap(nameless(world), (qpos[0], qvel[0], jnp.ones((2, 6)))):
+    for difference, size in gap(world, (qpos[0], qvel[0], jnp.ones((2, 6)))):
         assert difference < 1e-9 * size

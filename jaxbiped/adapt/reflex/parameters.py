@@ -265,7 +265,10 @@ def _of_plan(robot: RobotParams, gait: Gait, given: Mapping[str, object]) -> dic
 
 
 def planned_ripple(robot: RobotParams, gait: Gait, samples_per_step: int = 60) -> Scalar:
-    """Greatest deviation of the plan's vertical ground force from the weight [N]: no sign of a load."""
+    """Greatest deviation of the plan's vertical ground force from the weight [N]: no sign of a load.
+
+    Sampled so often in every step of the plan; where its number of steps is traced, of those there is room for.
+    """
     timing = gait.timing
     steps = int(timing.n_steps) if is_concrete(timing) else timing.room
     times = jnp.linspace(0.0, gait.duration, samples_per_step * (steps + 2))

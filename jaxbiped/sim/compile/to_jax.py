@@ -121,7 +121,7 @@ class Lanes:
         return now
 
     def _loop(self, loop: Loop, now: Vectors, given: dict[int, Array], place: dict[Any, Array]) -> Vectors:
-        """What a loop leaves behind."""
+        """Return what a loop leaves behind."""
         program, first_row = self.program, len(loop.start)
         lanes = len(next(iter(place.values())))
         carried = [n for n in program.order if n.op == CARRY and n.param[0] == loop.number]
