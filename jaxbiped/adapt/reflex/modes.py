@@ -41,7 +41,7 @@ def mode_ends(stage: PlannedReflex, state: PayloadState, timing: Timing) -> Floa
         p.settling_time,
         p.shift_time,
         step.t_ss + step.t_ds,
-        0.5 * p.settling_time,
+        p.hold,
     ]
     return jnp.cumsum(jnp.stack(lengths))
 

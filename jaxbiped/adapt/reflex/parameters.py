@@ -1,7 +1,8 @@
 """Parameters of the payload reflex (El-Kahlout's thesis, sections 3.3, 4.3, 4.4), and its named variants.
 
 `original` (Eq. 3.17, 2 s) and `modified` (Eqs. 4.5, 4.6, 4 s) are to the letter of the equations but for the errata
-listed in docs/papers.md; in `repaired` every repair is a switch of its own.
+listed in docs/papers.md; in `repaired` every repair is a switch of its own; `two_speed` is `repaired` with a reflex of
+two speeds, for floors with grip.
 """
 
 from collections.abc import Mapping
@@ -32,12 +33,15 @@ X_REFLEX_ORIGINAL = ((0.01, -0.01), (0.01, -0.01), (0.01, -0.01))
 X_REFLEX_MODIFIED = ((-0.01, 0.01), (0.01, -0.01), (0.0, 0.0))
 """Eqs. 4.5, 4.6: the foot on the ground towards the body."""
 X_REFLEX_NONE = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+LEAN = 0.011
+"""How far behind the standing robot's ZMP that of `two_speed` is to balance [m]: the thesis' plan, whose ZMP passes the
+toes at the end of single support, leaves no room for the error of a reading."""
 _ENTRIES = {
     f"x_{foot}_{phase}": (row, column)
     for row, phase in enumerate(("left_swings", "right_swings", "both_stand"))
     for column, foot in enumerate(("left", "right"))
 }
-_LITERAL = ("smooth_reflex", "steady_recovery", "smooth_resume", "starts_again")
+_LITERAL = ("smooth_reflex", "two_speeds", "steady_recovery", "smooth_resume", "starts_again")
 """Switches that are off in the thesis."""
 
 
@@ -48,7 +52,7 @@ class PayloadReflex(Stage):
     name: ClassVar[str] = "payload"
     record: ClassVar[str] = "payload_reflex"
     replans: ClassVar[bool] = True
-    variants: ClassVar[tuple[str, ...]] = ("original", "modified", "repaired")
+    variants: ClassVar[tuple[str, ...]] = ("original", "modified", "repaired", "two_speed")
     outcomes: ClassVar[dict[str, Outcome]] = {
         "reflexes": Outcome("how many payload reflexes there were", int, 0),
         "trigger_s": Outcome("when the last one began; missing if there was none"),
@@ -155,16 +159,75 @@ class PayloadReflex(Stage):
             0.0,
             60.0,
             True,
-            text="Longest time in which a smooth reflex brings the body sideways to the middle; it has to "
-            "be there when the ZMP is read.",
+            text="Longest time in which a smooth reflex brings the body sideways to the middle, one of two "
+            "speeds forward too; it has to be there when the ZMP is read.",
         ),
         1.2,
+    )
+    body_acceleration: Scalar = number(
+        "body_acceleration",
+        Quantity(
+            "m/s2",
+            0.0,
+            100.0,
+            True,
+            text="About the greatest acceleration of the body in a reflex of two speeds, which decides "
+            "how long the body takes, within reflex_time and body_time.",
+        ),
+        1.6,
+        tune=Tune(0.5, 4.0),
+    )
+    quick_step: Scalar = number(
+        "quick_step",
+        Quantity(
+            "m",
+            -1.0,
+            1.0,
+            text="How far a reflex of two speeds takes the swing foot forward while it sets it down.",
+        ),
+        0.2,
+        tune=Tune(0.0, 0.4),
+    )
+    longest_step: Scalar = number(
+        "longest_step",
+        Quantity(
+            "m",
+            0.0,
+            2.0,
+            text="How far ahead of the stance foot a reflex of two speeds sets the swing foot down at most.",
+        ),
+        0.3,
+        tune=Tune(0.05, 0.5),
+    )
+    behind: Scalar = number(
+        "behind",
+        Quantity(
+            "m",
+            -0.5,
+            0.5,
+            text="How far behind the middle of the feet a reflex of two speeds brings the body, from where "
+            "the plan has it in double support.",
+        ),
+        0.03,
+        tune=Tune(-0.05, 0.1),
     )
     settling_time: Scalar = number(
         "settling_time",
         Quantity("s", 0.0, 60.0, True, text="t_set_t."),
         4.0,
         tune=Tune(1.5, 6.0, "thesis: 2, then 4"),
+    )
+    hold_time: Scalar | None = number(
+        "hold_time",
+        Quantity(
+            "s",
+            0.0,
+            60.0,
+            True,
+            optional=True,
+            text="Standing still after the recovery step; None: half of settling_time, as in the thesis.",
+        ),
+        None,
     )
     shift_time: Scalar = number("shift_time", Quantity("s", 0.0, 60.0, True, text="t_x_ref_as."), 0.5)
     x_ref_gain: Scalar = number(
@@ -186,6 +249,12 @@ class PayloadReflex(Stage):
         "The literal reflex's smooth twin, not in the thesis: feet and body take over velocity "
         "and acceleration and are at rest after the same `reflex_time`, instead of moving at "
         "constant speeds that start and stop in a step. Nothing to a smooth reflex.",
+    )
+    two_speeds: bool = switch(
+        "two_speeds",
+        False,
+        "Not in the thesis: the swing foot takes a quick step ahead, in `reflex_time`, while the body "
+        "follows at its own speed. Of a smooth reflex only.",
     )
     steady_recovery: bool = switch(
         "steady_recovery",
@@ -210,7 +279,9 @@ class PayloadReflex(Stage):
     )
 
     def __check_init__(self) -> None:
-        """Refuse a body that is still on its way when the ZMP is read."""
+        """Refuse two speeds of what is not smooth, and a body that is still on its way when the ZMP is read."""
+        if self.two_speeds and not self.smooth_reflex:
+            raise Refusal("two_speeds: got true, allowed: false where smooth_reflex is false")
         if self.smooth_reflex and is_concrete(self.reflex_time, self.settling_time, self.body_time):
             still, body_time = float(self.reflex_time) + float(self.settling_time), float(self.body_time)
             if body_time > still * (1.0 + 1e-6):
@@ -220,9 +291,8 @@ class PayloadReflex(Stage):
 
     @classmethod
     def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
-        """Parameters of the variant `original`, `modified` or `repaired`; raises their errors."""
-        make = {"original": cls.original, "modified": cls.modified, "repaired": cls.repaired}
-        return make[variant](robot, gait, **parameters)
+        """Parameters of one of `variants`; raises its errors."""
+        return getattr(cls, variant)(robot, gait, **parameters)
 
     @classmethod
     def original(cls, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
@@ -247,6 +317,20 @@ class PayloadReflex(Stage):
         if "x_stand" not in parameters:
             ours["x_stand"] = standing_zmp(robot, gait) - on_device(robot).p_sole_corner[..., 0].mean()
         return cls(**{**_of_plan(robot, gait, parameters), **ours, **parameters})
+
+    @classmethod
+    def two_speed(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":  # noqa: ANN401
+        """Parameters with every repair and a reflex of two speeds. Raises the errors of `original`."""
+        require_names(cls, parameters)
+        ours = {"two_speeds": True, "reflex_time": 0.25, "body_time": 0.9, "starts_again": False}
+        if "zmp_balanced" not in parameters:
+            ours["zmp_balanced"] = standing_zmp(robot, gait) - LEAN
+        return cls.repaired(robot, gait, **{**ours, **parameters})
+
+    @property
+    def hold(self) -> Scalar:
+        """How long the robot stands still after the recovery step [s]."""
+        return 0.5 * self.settling_time if self.hold_time is None else self.hold_time
 
     @classmethod
     def _literal(cls, robot: RobotParams, gait: Gait, parameters: dict[str, Any]) -> "PayloadReflex":

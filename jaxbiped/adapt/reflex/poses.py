@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbiped.adapt.blends import longest_time_to_rest, quintic_to_rest, smooth
+from jaxbiped.adapt.reflex import quick_step
 from jaxbiped.adapt.reflex.modes import applied_shift, ramp, recovery_step
 from jaxbiped.adapt.reflex.planned import RECOVER, PayloadState, PlannedReflex, RecoveryStep, stance_place
 from jaxbiped.planner import DOUBLE_SUPPORT, TaskSpace, Timing
@@ -32,7 +33,9 @@ def reflex_pose(
 ) -> Float[Array, "2 3"]:
     """Soles in the body frame up to the end of SHIFT (Eqs. 3.11-3.17 and 3.21)."""
     p, way = stage.params, state.end - state.start[0]
-    if p.smooth_reflex or p.smooth_ramp:
+    if p.two_speeds:
+        moved = quick_step.soles(stage, state, since)
+    elif p.smooth_reflex or p.smooth_ramp:
         T = jnp.stack([p.reflex_time, body_time(stage, state), p.reflex_time])
         moved = quintic_to_rest(since, T, state.start[1], state.start[2], way)
     else:
@@ -53,13 +56,15 @@ def motion_before(state: PayloadState, time: Scalar) -> Float[Array, "2 3"]:
 
 
 def body_time(stage: PlannedReflex, state: PayloadState) -> Scalar:
-    """Time in which the body gets to the middle [s].
+    """Time in which the body gets to the middle sideways [s].
 
     Not so long that it swings beyond it; the shorter, the nearer it is to the middle of two feet on the ground.
     """
     p, way = stage.params, (state.end - state.start[0])[LEFT, 1]
     if not p.smooth_reflex:
         return p.reflex_time
+    if p.two_speeds:
+        return quick_step.body_times(stage, state)[1]
     towards = jnp.where(way >= 0.0, -1.0, 1.0)
     velocity, acceleration = towards * state.start[1, LEFT, 1], towards * state.start[2, LEFT, 1]
     half_distance = 0.5 * (state.end[LEFT, 1] - state.end[RIGHT, 1])

@@ -24,6 +24,7 @@ from jaxtyping import Array
 from jaxbiped.adapt.reflex.modes import advance
 from jaxbiped.adapt.reflex.parameters import PayloadReflex, resume_plan_times
 from jaxbiped.adapt.reflex.planned import WALK, PayloadState, PlannedReflex
+from jaxbiped.adapt.reflex.quick_step import touched
 from jaxbiped.adapt.reflex.targets import plan_targets, targets_at
 from jaxbiped.adapt.reflex.trigger import low_passed, trigger, watch
 from jaxbiped.adapt.sensed import Sensed
@@ -69,6 +70,7 @@ class PayloadStage(PlannedReflex):
             start_sole=self.stance[0],
             start=jnp.zeros((3, 2, 3), zero.dtype).at[0].set(self.stance[0]),
             end=self.stance[0],
+            touch=zero + jnp.inf,
             next_step=count,
             x_shift=zero,
             x_shift_new=zero,
@@ -83,6 +85,8 @@ class PayloadStage(PlannedReflex):
         """One control tick: the plan, or what stands in its place; the targets so far are not used."""
         state, before = low_passed(self, state, sensed), state
         state = advance(self, state, before, gait.timing, sensed)
+        if self.params.two_speeds:
+            state = touched(self, state, sensed.corner_force)
         plan = plan_targets(self, state, gait, sensed.time)
         targets = targets_at(self, state, plan, gait.timing, sensed.time)
         triggered, trigger_time = watch(self, state, before, signals.disturbed)
@@ -110,7 +114,7 @@ class PayloadStage(PlannedReflex):
         """Longest delay: a reflex for every change of weight, each with the longest recovery step [s]."""
         p, timing = self.params, gait.timing
         recovery = 2.2 * float(timing.T_s) + float(timing.T_c)
-        once = float(p.reflex_time + 1.5 * p.settling_time + p.shift_time) + recovery
+        once = float(p.reflex_time + p.settling_time + p.shift_time + p.hold) + recovery
         return once * (changes if p.starts_again else min(changes, 1))
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbiped.adapt.reflex import quick_step
 from jaxbiped.adapt.reflex.modes import applied_shift
 from jaxbiped.adapt.reflex.planned import (
     REFLEX,
@@ -92,8 +93,13 @@ def trigger(
     applied = applied_shift(stage, state, time)
     row = jnp.where(aloft, phase.swing, 2)
     x = start[0, :, 0] + p.x_reflex[row]
-    ahead = foot_ahead(x)
-    next_step = matching_step(upcoming_step(state, phase), ahead, aloft, timing)
+    if p.two_speeds:
+        way = quick_step.distance(stage, x[phase.swing] - x[1 - phase.swing], aloft)
+        x = jnp.zeros_like(x).at[phase.swing].set(way)
+    next_step = matching_step(upcoming_step(state, phase), foot_ahead(x), aloft, timing)
+    if p.two_speeds:
+        middle = stage.stance[next_step, :, 0].mean() + applied
+        x = quick_step.ends(stage, way, phase.swing, middle, aloft)
     return replace(
         state,
         mode=jnp.full_like(state.mode, REFLEX),
@@ -104,6 +110,7 @@ def trigger(
         swing=phase.swing,
         start_sole=sole + back * velocity + 0.5 * back * back * acceleration,
         start=start,
+        touch=jnp.full_like(time, jnp.inf),
         end=stage.stance[next_step].at[:, 0].set(x),
         next_step=next_step,
         x_shift=applied,
