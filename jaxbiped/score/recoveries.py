@@ -60,7 +60,7 @@ def _one(trace: Sample, params: PayloadReflex, spans: list[tuple[int, int]], i: 
     if int(phase.kind[after]) == RECOVERY_STEP:
         before_liftoff = -float(phase.begin[after]) - float(params.shift_time)
         recovered = shifted + float(phase.T_s[after]) + 2.0 * before_liftoff
-    resumed = recovered + 0.5 * float(params.settling_time)
+    resumed = recovered + float(params.hold)
     times = (reflex_end, settled, shifted, recovered, resumed)
     reflex_end, settled, shifted, recovered, resumed = (t if t <= end else None for t in times)
     x_shift = _shift(trace, settled, shifted)

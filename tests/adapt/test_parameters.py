@@ -134,7 +134,7 @@ def test_switches_are_true_or_false(record, name):
 def test_named_variants_accept_switches(walk, record, name):
     biped, gait = walk
     given = {"threshold": 50.0, "zmp_balanced": -0.03, "x_stand": 0.0, "body_time": 0.5}
-    for variant in ("paper", "repaired") if record is Landing else ("original", "modified", "repaired"):
+    for variant in Landing.variants if record is Landing else PayloadReflex.variants:
         for value in (True, False):
             make_variant = getattr(record, variant)
             switch = {name: value}
@@ -151,7 +151,7 @@ def test_the_literal_variants_have_their_switches_off(walk):
     )
     reflex = PayloadReflex.original(*walk, threshold=50.0, zmp_balanced=-0.03, smooth_reflex=True)
     assert reflex.smooth_reflex and reflex.interpolate
-    assert not (reflex.steady_recovery or reflex.starts_again or reflex.smooth_resume)
+    assert not (reflex.two_speeds or reflex.steady_recovery or reflex.starts_again or reflex.smooth_resume)
 
 
 def test_unknown_parameters_are_a_type_error_with_the_nearest(walk):

@@ -44,7 +44,7 @@ NOT_OPTIMISED = {"xla_backend_optimization_level": 0}
 """How to compile what runs once: faster to compile, slower to run."""
 KINDS = {"cosine": CosineGait, "polynomial": PolynomialGait}
 ROBOTS = ("elkahlout", "surena3")
-VARIANTS = ("original", "modified", "repaired")
+VARIANTS = PayloadReflex.variants
 SHARES = ((0.1, 0.2, 0.05, 0.05), (0.3, 0.0, 0.2, 0.1))
 """Of the force, at the corners of the soles."""
 
@@ -376,11 +376,12 @@ OFF = 0.37
 """Of a tick: no tick is at the very instant at which something begins."""
 TRIGGERS = 32
 """Per robot."""
-GROUPS = {"literal": ("original", "modified"), "repaired": ("repaired",)}
+GROUPS = {"literal": ("original", "modified"), "repaired": ("repaired",), "two_speed": ("two_speed",)}
 UNITS = [("literal", "polynomial", 1), ("repaired", "cosine", 1), ("repaired", "polynomial", 0)]
+UNITS += [("two_speed", "cosine", 0)]
 OTHERS = [("literal", "cosine", 0), ("literal", "cosine", 1)]
 OTHERS += [(group, kind, 1 - first) for group, kind, first in UNITS]
-REFLEX_TIME = {"literal": 0.1, "repaired": 0.6}
+REFLEX_TIME = {"literal": 0.1, "repaired": 0.6, "two_speed": 0.6}
 """The longer one where acceleration is asked for: a quintic of 0.1 s has 7 km/s3."""
 
 
@@ -419,7 +420,7 @@ def within(change, begin, end, slack) -> np.ndarray:
     return (change >= low) & (change <= high)
 
 
-@for_units("literal", "repaired")
+@for_units("literal", "repaired", "two_speed")
 def test_positions_do_not_jump(group, kind, first_swing):
     """Of all loads, both soles and the pelvis: no further in a tick than the commanded speeds at its ends have it.
 
@@ -464,7 +465,7 @@ def test_repaired_velocities_do_not_jump(group, kind, first_swing):
     )  # a lift-off in that tick is a jump of the plan's own
 
 
-@for_units("literal", "repaired")
+@for_units("literal", "repaired", "two_speed")
 def test_feet_on_the_ground_stand_still(group, kind, first_swing):
     """In the world: the stance foot always, both in double support; a foot that is up is a single support's.
 
@@ -495,7 +496,7 @@ def test_feet_on_the_ground_stand_still(group, kind, first_swing):
     assert height[clear].min() > 1e-7, "single support without a lift"
 
 
-@for_units("literal", "repaired")
+@for_units("literal", "repaired", "two_speed")
 def test_walk_goes_on_as_planned(group, kind, first_swing):
     """From the matching phase, the foot behind swinging first, to the end of the plan."""
     rows = motions(group, kind, first_swing)
@@ -516,7 +517,7 @@ def test_walk_goes_on_as_planned(group, kind, first_swing):
     assert np.all(ahead[:, -1].max(axis=1) > first_x.max(axis=1) - 0.02)
 
 
-@for_units("literal", "repaired")
+@for_units("literal", "repaired", "two_speed")
 def test_no_step_is_left_out_or_made_twice(x64, group, kind, first_swing):
     """Felt on two feet: the plan's next step; felt on one: the next if the foot in the air is ahead, else this one."""
     rows = motions(group, kind, first_swing)
@@ -531,11 +532,11 @@ def test_no_step_is_left_out_or_made_twice(x64, group, kind, first_swing):
         x = rows["motion"][i, j - 1, 0, :2, 0]
         swing = (first_swing + begun + 1) % 2
         passed = begun == ended or x[swing] > x[1 - swing]
-        if group == "repaired" or abs(x[0] - x[1]) > 0.025:  # no nearer than the reflex moves the feet
+        if group != "literal" or abs(x[0] - x[1]) > 0.025:  # no nearer than the reflex moves the feet
             assert rows["next_step"][i, -1] == (begun if passed else begun - 1)
 
 
-@for_units("literal", "repaired")
+@for_units("literal", "repaired", "two_speed")
 def test_phase_tells_when_feet_move(group, kind, first_swing):
     """Begin, lift-off and end of the recovery step; landing adaptation goes by them."""
     rows = motions(group, kind, first_swing)
@@ -646,7 +647,7 @@ def test_literal_variants_have_one_reflex_only(x64):
     for variant in VARIANTS:
         params = getattr(PayloadReflex, variant)(biped, gait)
         rows = run([params], [gait], histories, compiled=_run_once)
-        assert rows["reflexes"][0, -1] == (2 if variant == "repaired" else 1)
+        assert rows["reflexes"][0, -1] == (1 if variant in GROUPS["literal"] else 2)
 
 
 def test_second_payload_counts_from_the_start(x64):

@@ -254,7 +254,7 @@ class PayloadReflex(Stage):
         "two_speeds",
         False,
         "Not in the thesis: the swing foot takes a quick step ahead, in `reflex_time`, while the body "
-        "follows at its own speed. Of a smooth reflex only.",
+        "follows at its own speed; a smooth reflex in all else, whatever `smooth_reflex` says.",
     )
     steady_recovery: bool = switch(
         "steady_recovery",
@@ -279,10 +279,9 @@ class PayloadReflex(Stage):
     )
 
     def __check_init__(self) -> None:
-        """Refuse two speeds of what is not smooth, and a body that is still on its way when the ZMP is read."""
-        if self.two_speeds and not self.smooth_reflex:
-            raise Refusal("two_speeds: got true, allowed: false where smooth_reflex is false")
-        if self.smooth_reflex and is_concrete(self.reflex_time, self.settling_time, self.body_time):
+        """Refuse a body that is still on its way when the ZMP is read."""
+        slow = self.smooth_reflex or self.two_speeds
+        if slow and is_concrete(self.reflex_time, self.settling_time, self.body_time):
             still, body_time = float(self.reflex_time) + float(self.settling_time), float(self.body_time)
             if body_time > still * (1.0 + 1e-6):
                 raise Refusal(
@@ -322,7 +321,7 @@ class PayloadReflex(Stage):
     def two_speed(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":  # noqa: ANN401
         """Parameters with every repair and a reflex of two speeds. Raises the errors of `original`."""
         require_names(cls, parameters)
-        ours = {"two_speeds": True, "reflex_time": 0.25, "body_time": 0.9, "starts_again": False}
+        ours = {"two_speeds": True, "reflex_time": 0.25, "body_time": 0.9}
         if "zmp_balanced" not in parameters:
             ours["zmp_balanced"] = standing_zmp(robot, gait) - LEAN
         return cls.repaired(robot, gait, **{**ours, **parameters})

@@ -61,10 +61,10 @@ def body_time(stage: PlannedReflex, state: PayloadState) -> Scalar:
     Not so long that it swings beyond it; the shorter, the nearer it is to the middle of two feet on the ground.
     """
     p, way = stage.params, (state.end - state.start[0])[LEFT, 1]
-    if not p.smooth_reflex:
-        return p.reflex_time
     if p.two_speeds:
         return quick_step.body_times(stage, state)[1]
+    if not p.smooth_reflex:
+        return p.reflex_time
     towards = jnp.where(way >= 0.0, -1.0, 1.0)
     velocity, acceleration = towards * state.start[1, LEFT, 1], towards * state.start[2, LEFT, 1]
     half_distance = 0.5 * (state.end[LEFT, 1] - state.end[RIGHT, 1])
