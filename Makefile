@@ -23,7 +23,8 @@ demo: $(STAMP)  ## Plan, simulate and draw both robots' walks; results in runs/d
 # Rooms and files whose tests compile no whole walk.
 FAST := tests/robot tests/kinematics tests/planner tests/score tests/batch tests/report tests/test_architecture.py tests/test_checked.py \
 	tests/test_cli.py tests/test_runtime.py tests/test_variant_files.py tests/test_versions.py tests/adapt/test_controller.py \
-	tests/adapt/test_parameters.py tests/adapt/test_tunables.py --ignore tests/batch/test_kills.py --ignore tests/batch/test_run.py
+	tests/adapt/test_parameters.py tests/adapt/test_quick_step.py tests/adapt/test_tunables.py \
+	--ignore tests/batch/test_backends.py --ignore tests/batch/test_kills.py --ignore tests/batch/test_run.py
 
 fast: $(STAMP)  ## Run the tests that compile no whole walk (three to five minutes on two cores)
 	NPROC=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(FAST)

@@ -8,6 +8,7 @@ no reflex may start.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,12 @@ import tuned
 
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
-from jaxbiped.batch import Normal, Uniform
+from jaxbiped.batch import Normal, Uniform, summary
 from jaxbiped.report import grids
+from jaxbiped.sim.options import C_MUJOCO
 
-VARIANTS = ("modified", "repaired", "two_speed")
+BEST = "two_speed"
+VARIANTS = ("modified", "repaired", BEST)
 FLOORS = (0.09, 0.12, 0.2, 0.3, 0.5, 0.8, 1.0)
 """Friction."""
 LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
@@ -64,6 +67,26 @@ def by_floor(table: pl.DataFrame) -> str:
     return "\n".join(lines)
 
 
+def compare_with_c(table: pl.DataFrame, one: jb.batch.Experiment, n: int, out: Path) -> None:
+    """Walk random cells of the best variant in C MuJoCo with its own contacts, and count equal verdicts."""
+    ours = table.filter(pl.col("variant") == BEST).sample(min(n, table.height), seed=1).sort("row")
+    cells = ours.select(one.table.columns)
+    options = replace(one.options, contact=C_MUJOCO)
+    again = jb.batch.Experiment(one.robot, {BEST: one.variants[BEST]}, cells, options)
+    theirs = jb.batch.run(again, out, 1, overwrite=True, progress=jb.batch.show())
+    equal = (ours["success"] == theirs["success"]).to_numpy()
+    low, high = summary.wilson(int(equal.sum()), len(equal))
+    print(
+        f"\nC MuJoCo with its own contacts, {len(equal)} random cells of {BEST}: {equal.sum()} verdicts equal "
+        f"({equal.mean():.1%}, {low:.1%} to {high:.1%}); {ours['success'].sum()} succeed here, "
+        f"{theirs['success'].sum()} there"
+    )
+    for i in (~equal).nonzero()[0]:
+        load, clock, friction = (cells[name][int(i)] for name in ("load_kg", "load_time_s", "friction"))
+        here, there = ours["status"][int(i)], theirs["status"][int(i)]
+        print(f"  {load:g} kg at {clock:g} s, friction {friction:g}: {here} here, {there} there")
+
+
 def main() -> None:
     """Walk, print, draw."""
     parser = argparse.ArgumentParser(
@@ -73,13 +96,14 @@ def main() -> None:
     parser.add_argument("--floors", type=float, nargs="+", default=FLOORS, help="frictions")
     parser.add_argument("--n", type=int, default=512, help="other robots and floors")
     parser.add_argument("--unloaded", type=int, default=1000, help="walks without a load")
+    parser.add_argument("--c", type=int, default=100, help="cells in C MuJoCo")
     parser.add_argument("--workers", type=int)
     arguments = parser.parse_args()
     robot = jb.robot.load("elkahlout")
     gait = jb.planner.CosineGait.preset(robot, STEPS)
     variants = {name: Controller(gait, getattr(PayloadReflex, name)(robot, gait)) for name in VARIANTS}
     start, options = float(gait.clock_start), jb.sim.own_options(robot, gait)
-    pairs = [("two_speed", "modified"), ("two_speed", "repaired")]
+    pairs = [(BEST, other) for other in VARIANTS if other != BEST]
 
     def tried(what: str, scenarios: pl.DataFrame, name: str) -> pl.DataFrame:
         one = jb.batch.Experiment(robot, variants, scenarios, options)
@@ -100,6 +124,8 @@ def main() -> None:
                 offset_s=start,
             )
             figure.savefig(arguments.out / f"{name}_{floor:g}.png", dpi=110)
+    everywhere = jb.batch.Experiment(robot, variants, grid, options)
+    compare_with_c(table, everywhere, arguments.c, arguments.out / "c")
     between = others(
         arguments.n, 4321, load_kg=Uniform(2.0, 25.0), load_time_s=Uniform(start + 0.1, start + 4.8)
     )

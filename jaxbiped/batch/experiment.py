@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import jax
 import numpy as np
 import polars as pl
 
@@ -144,12 +146,13 @@ class Experiment:
 
     @cached_property
     def simulation(self) -> Options:
-        """The options, with room for what the scenarios bring."""
+        """The options, with room for what the scenarios bring; the backend by the walks that share a program."""
         given, delay = self.options, float(np.max(self.table["delay_s"].to_numpy()))
         noise = bool((self.table["force_noise_N"] > 0.0).any() or (self.table["angle_noise_rad"] > 0.0).any())
         room = max(given.delay_room, int(np.ceil(delay / given.control_dt - 1e-9)))
         options = replace(given, noise=given.noise or noise, delay_room=room)
-        ticks = self.table.height * min(self.durations.values()) / given.dt
+        alike = max(Counter(jax.tree.structure(variant) for variant in self.variants.values()).values())
+        ticks = alike * self.table.height * min(self.durations.values()) / given.dt
         return replace(options, backend=backend.chosen(options, int(ticks)))
 
     @cached_property

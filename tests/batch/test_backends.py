@@ -47,9 +47,16 @@ def test_c_is_chosen_where_there_is_enough_to_walk_and_it_can(monkeypatch):
     many = int(ENOUGH / (10.0 / 5e-4))
     assert experiment(many, AUTO, 10.0).simulation.backend == C
     assert experiment(many - 1, AUTO, 10.0).simulation.backend == XLA
+    one = experiment(many // 2 + 1, AUTO, 10.0)
+    assert one.simulation.backend == XLA
+    off = Controller(one.variants["modified"].gait)
+    alike = dict.fromkeys(("modified", "the same"), one.variants["modified"])
     assert (
-        experiment(many, AUTO, 10.0).lanes == many and experiment(many, XLA, 10.0).lanes < many
-    )  # no more than 128
+        dataclasses.replace(one, variants=alike).simulation.backend == C
+    )  # its two variants share a program
+    assert dataclasses.replace(one, variants={**one.variants, "off": off}).simulation.backend == XLA
+    assert experiment(200, AUTO, 10.0).lanes == 200
+    assert experiment(200, XLA, 10.0).lanes < 200  # no more than 128
     assert experiment(many, AUTO, 10.0, force_noise_N=5.0).simulation.backend == C
     assert experiment(many, AUTO, 10.0, contact="mjx").simulation.backend == XLA
     assert experiment(many, XLA, 10.0).simulation.backend == XLA

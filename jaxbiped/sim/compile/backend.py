@@ -31,7 +31,7 @@ ROUNDING = {4: 2e-3, 8: 1e-8}
 ODD_LANES = 1 / 8
 """Share of lanes that may differ by more, since a threshold was passed on one side only."""
 
-ENOUGH = 4_000_000
+ENOUGH = 1_500_000
 """Physics ticks from which on `auto` chooses C: with fewer XLA, which is compiled faster, is ready sooner."""
 
 
