@@ -23,7 +23,7 @@ from jaxbiped.sim.options import C_MUJOCO
 
 BEST = "two_speed"
 VARIANTS = ("modified", "repaired", BEST)
-FLOORS = (0.09, 0.12, 0.2, 0.3, 0.5, 0.8, 1.0)
+FLOORS = (0.09, 0.1, 0.12, 0.2, 0.3, 0.5, 0.8, 1.0)
 """Friction."""
 LOADS = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
 """The thesis' up to 15, and heavier ones [kg]."""
