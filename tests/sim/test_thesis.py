@@ -17,7 +17,9 @@ from jaxbiped.score import judge
 from jaxbiped.sim import Scenario, prepare
 
 STEPS = 5
-VARIANTS = ("original", "modified", "repaired")
+VARIANTS = PayloadReflex.variants
+GRIPPING = [(load, at) for load in (5.0, 15.0, 20.0) for at in (0.4, 0.8, 1.2, 1.7, 2.4)]
+"""Before lift-off, in every part of single support and in double support (kg, s on the thesis' clock)."""
 
 
 @runtime.jit
@@ -25,11 +27,16 @@ def _verdicts(walks: Any, gait: Any, scenarios: Any) -> Any:
     return jax.vmap(lambda walk, scenario: judge(walk, gait, scenario))(walks, scenarios)
 
 
-def thesis_walks(gait: Any, cases: list[tuple[float, float]], variant: str, duration: float) -> Any:
-    """Verdicts, statistics and reflexes of the thesis' robot under loads (kg, s on the thesis' clock)."""
+def thesis_walks(
+    gait: Any, cases: list[tuple[float, float]], variant: str, duration: float, friction: float | None = None
+) -> Any:
+    """Verdicts, statistics and reflexes of the thesis' robot under loads (kg, s on the thesis' clock).
+
+    On its own floor if no friction is given.
+    """
     params = robot.load("elkahlout")
     controller = Controller(gait, getattr(PayloadReflex, variant)(params, gait))
-    floor = Scenario.flat(1).with_friction(sim.own_friction(params, gait))
+    floor = Scenario.flat(1).with_friction(sim.own_friction(params, gait) if friction is None else friction)
     start = float(gait.clock_start)
     scenarios = [floor.with_payload(load, start + at) if load else floor for load, at in cases]
     options = sim.own_options(params, gait)
@@ -51,6 +58,19 @@ def test_a_load_of_15_kg_at_1_2_s_tilts_the_trunk_as_little_as_in_the_thesis(var
     assert pitch[0] < 3.0
     assert reflex.reflexes.tolist() == [1, 0, 0] or reflex.reflexes.tolist() == [1, 1, 0]
     assert 0.025 < reflex.trigger_time[0] - float(gait.clock_start) - 1.2 < 0.04
+
+
+def test_at_two_speeds_the_robot_walks_on_where_its_feet_grip():
+    """The literal reflex falls in most of these."""
+    gait = CosineGait.preset(robot.load("elkahlout"), STEPS)
+    cases = [*GRIPPING, (0.0, 0.0)]
+    verdict, stats, reflex = thesis_walks(gait, cases, "two_speed", 31.0, friction=0.8)
+    np.testing.assert_array_equal(reflex.reflexes, [1] * len(GRIPPING) + [0])
+    assert verdict.success[:-1].all(), [
+        case for case, good in zip(cases, verdict.success, strict=True) if not good
+    ]
+    assert verdict.status[-1] == 0
+    assert np.degrees(stats.peak_roll_pitch).max() < 12.0
 
 
 def test_the_unloaded_robot_walks_from_the_thesis_start_in_the_middle_of_the_pattern():
