@@ -8,6 +8,7 @@ no reflex may start.
 """
 
 import argparse
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import tuned
 
 import jaxbiped as jb
 from jaxbiped.adapt import Controller, PayloadReflex
+from jaxbiped.adapt.reflex import standing_zmp
 from jaxbiped.batch import Normal, Uniform, summary
 from jaxbiped.report import grids
 from jaxbiped.sim.options import C_MUJOCO
@@ -52,19 +54,35 @@ def others(n: int, seed: int, **more: Any) -> pl.DataFrame:
     )
 
 
-def by_floor(table: pl.DataFrame) -> str:
+def by_floor(table: pl.DataFrame, variants: Iterable[str] = VARIANTS) -> str:
     """Successes on every floor: of the thesis' loads, of heavier ones, of 20 kg."""
     light = pl.col("load_kg") <= 15.0
     parts = {"up to 15 kg": light, "17.5 to 25 kg": ~light, "20 kg": pl.col("load_kg") == 20.0}
-    lines = ["friction | " + " | ".join(f"{v}: {', '.join(parts)}" for v in VARIANTS)]
+    lines = ["friction | " + " | ".join(f"{v}: {', '.join(parts)}" for v in variants)]
     for floor, walks in table.group_by("friction", maintain_order=True):
         cells = []
-        for variant in VARIANTS:
+        for variant in variants:
             mine = walks.filter(pl.col("variant") == variant)
             rows = [mine.filter(part)["success"] for part in parts.values()]
             cells.append(", ".join(f"{row.sum()} of {row.len()}" for row in rows))
         lines.append(f"{floor[0]:g} | " + " | ".join(cells))
     return "\n".join(lines)
+
+
+def without(robot: Any, gait: Any) -> dict[str, Controller]:
+    """The best variant without one of its parts each, and the others with its lean."""
+    less: dict[str, dict[str, Any]] = {
+        "whole": {},
+        "no step": {"quick_step": 0.0},
+        "no longer than the plan's": {"longest_step": float(2.0 * gait.params.b_s)},
+        "body not behind": {"behind": 0.0},
+        "body in 0.3 s": {"body_time": 0.3},
+        "no lean": {"zmp_balanced": standing_zmp(robot, gait)},
+    }
+    made = {name: PayloadReflex.named(BEST, robot, gait, **numbers) for name, numbers in less.items()}
+    lean = {"zmp_balanced": made["whole"].zmp_balanced}
+    leaning = {f"{v}, leaning": PayloadReflex.named(v, robot, gait, **lean) for v in VARIANTS if v != BEST}
+    return {name: Controller(gait, params) for name, params in {**made, **leaning}.items()}
 
 
 def compare_with_c(table: pl.DataFrame, one: jb.batch.Experiment, n: int, out: Path) -> None:
@@ -112,6 +130,7 @@ def main() -> None:
     times = [start + t for t in TIMES]
     grid = jb.batch.grid(friction=arguments.floors, load_kg=LOADS, load_time_s=times)
     table = tried("the thesis' grid and heavier loads, on every floor", grid, "grid")
+    everywhere = jb.batch.Experiment(robot, variants, grid, options)
     print(by_floor(table))
     for floor in DRAWN_FLOORS:
         for name, value in MAPS.items():
@@ -124,7 +143,13 @@ def main() -> None:
                 offset_s=start,
             )
             figure.savefig(arguments.out / f"{name}_{floor:g}.png", dpi=110)
-    everywhere = jb.batch.Experiment(robot, variants, grid, options)
+    parts = without(robot, gait)
+    grid = jb.batch.grid(friction=DRAWN_FLOORS, load_kg=LOADS, load_time_s=times[: len(times) // 2])
+    one = jb.batch.Experiment(robot, parts, grid, options)
+    lesser = jb.batch.run(
+        one, arguments.out / "without", arguments.workers, overwrite=True, progress=jb.batch.show()
+    )
+    print(f"\nwithout one part each, at the first half of the times\n{by_floor(lesser, parts)}")
     compare_with_c(table, everywhere, arguments.c, arguments.out / "c")
     between = others(
         arguments.n, 4321, load_kg=Uniform(2.0, 25.0), load_time_s=Uniform(start + 0.1, start + 4.8)

@@ -192,7 +192,10 @@ BAD = [
     (("payload", "--times", "-0.1"), ("--times", "-0.1 s")),
     (("payload", "--times", "inf"), ("--times", "inf")),
     (("payload", "--times", "9", "--steps", "2"), ("--times", "9 s", "2 steps")),
-    (("payload", "--variant", "quick"), ("--variant", "'quick'", "off, original, modified, repaired")),
+    (
+        ("payload", "--variant", "quick"),
+        ("--variant", "'quick'", "off, original, modified, repaired, two_speed"),
+    ),
     (("payload", "--variant", "paper"), ("--variant", "'paper'")),
     (("payload", "--variant", "off", "off"), ("--variant", "twice")),
     (("payload", "--variant", "none.toml"), ("--variant", "none.toml")),

@@ -198,7 +198,7 @@ REFUSED = [
     (["--payload", "5@17"], ("--payload", "17 s", "0 to 16.8 s")),
     (["--payload", "5@2", "10@3"], ("--payload", "2 (5@2, 10@3)", "one")),
     (["--payload", "5@2", "--payload", "10@3"], ("--payload", "2 (5@2, 10@3)", "one")),
-    (["--variant", "best"], ("--variant", "'best'", "off, paper, original, modified, repaired")),
+    (["--variant", "best"], ("--variant", "'best'", "off, paper, repaired, original, modified, two_speed")),
     (["--variant", "nowhere.toml"], ("--variant", "nowhere.toml")),
     (["--variant", "off", "tuned.toml"], ("--variant", "off tuned.toml", "by itself")),
     (["--variant", "off", "paper"], ("--variant", "off paper", "one for each stage")),

@@ -104,7 +104,10 @@ PAYLOAD = '[payload]\nbase = "modified"\n'
 LANDING = '[landing]\nbase = "paper"\n'
 BAD = {
     # the base
-    "[payload]\nbase = 'fast'\n": ["payload.base: got 'fast'", "off, original, modified, repaired"],
+    "[payload]\nbase = 'fast'\n": [
+        "payload.base: got 'fast'",
+        "off, original, modified, repaired, two_speed",
+    ],
     "[landing]\nbase = 'modified'\n": ["landing.base: got 'modified'", "off, paper, repaired"],
     "[landing]\nbase = 'papr'\n": ["did you mean 'paper'?"],
     "[payload]\nsettling_time = 3.0\n": ["payload.base: missing", "off, original"],

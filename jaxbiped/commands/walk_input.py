@@ -14,10 +14,10 @@ from jaxbiped import adapt, batch, checked, robot, sim
 from jaxbiped.adapt.variants import stage_of
 from jaxbiped.batch import recipes
 from jaxbiped.commands.choices import (
+    LANDINGS,
     MODIFIED,
     OFF,
-    ORIGINAL,
-    PAPER,
+    REFLEXES,
     REPAIRED,
     gait_name,
     load_variant,
@@ -28,8 +28,8 @@ from jaxbiped.planner import Gait
 from jaxbiped.sim.options import AUTO
 from jaxbiped.sim.scenario import RANGES, require_swing_clears
 
-VARIANTS = (OFF, PAPER, ORIGINAL, MODIFIED, REPAIRED)
-REFLEX_VARIANTS = (ORIGINAL, MODIFIED)
+VARIANTS = tuple(dict.fromkeys((*LANDINGS, *REFLEXES)))
+REFLEX_VARIANTS = tuple(variant for variant in REFLEXES if variant not in LANDINGS)
 DEEPEST = RANGES["height_m"].low
 """Smallest height of a pad, that of the deepest hole [m]."""
 ROOM = 8
@@ -66,7 +66,7 @@ class Variants:
     landing: str
     """off, paper, repaired, or the file of a variant."""
     reflex: str
-    """off, original, modified, repaired, or the file of a variant."""
+    """off, original, modified, repaired, two_speed, or the file of a variant."""
 
     @property
     def name(self) -> str:
@@ -288,7 +288,7 @@ def _variants(words: list[str], has_obstacles: bool, has_load: bool) -> Variants
     if len(set(words)) < len(words) or len(reflexes) > 1 or (OFF in words and len(words) > 1):
         raise InputError(
             f"--variant: got {' '.join(words)}, allowed: off, or one for each stage: paper or repaired for landing, "
-            "original, modified or repaired for the payload reflex"
+            "original, modified, repaired or two_speed for the payload reflex"
         )
     if len(words) == 3:
         raise InputError(

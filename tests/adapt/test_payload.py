@@ -531,7 +531,8 @@ def test_no_step_is_left_out_or_made_twice(x64, group, kind, first_swing):
         begun, ended = (since > 0.0).sum(axis=1)
         x = rows["motion"][i, j - 1, 0, :2, 0]
         swing = (first_swing + begun + 1) % 2
-        passed = begun == ended or x[swing] > x[1 - swing]
+        step = 0.25 if group == "two_speed" else 0.0  # `quick_step`
+        passed = begun == ended or x[swing] + step > x[1 - swing]
         if group != "literal" or abs(x[0] - x[1]) > 0.025:  # no nearer than the reflex moves the feet
             assert rows["next_step"][i, -1] == (begun if passed else begun - 1)
 

@@ -43,6 +43,7 @@ def reflex(way=(0.1, -0.05), velocity=(0.0, 0.0), support=SINGLE_SUPPORT):
         swing=jnp.asarray(LEFT),
         start=jnp.asarray(start, jnp.float32),
         end=jnp.asarray(end, jnp.float32),
+        lift=jnp.asarray(0.03, jnp.float32),
         touch=jnp.asarray(np.inf, jnp.float32),
         trigger_time=jnp.asarray(1.0, jnp.float32),
     )
@@ -50,7 +51,7 @@ def reflex(way=(0.1, -0.05), velocity=(0.0, 0.0), support=SINGLE_SUPPORT):
 
 @pytest.mark.parametrize(
     ("now", "aloft", "expected"),
-    [(-0.15, True, 0.05), (0.0, True, 0.2), (0.15, True, 0.3), (0.4, True, 0.4), (0.15, False, 0.15)],
+    [(-0.15, True, 0.1), (0.0, True, 0.25), (0.15, True, 0.3), (0.4, True, 0.4), (0.15, False, 0.15)],
 )
 def test_the_swing_foot_goes_ahead_but_not_too_far(now, aloft, expected):
     assert float(quick_step.distance(stage(), jnp.asarray(now), jnp.asarray(aloft))) == pytest.approx(
@@ -104,6 +105,10 @@ def test_a_foot_that_touches_on_its_way_down_stays_there():
         then = quick_step.over_ground(stage(), there, jnp.asarray(share * T))
         np.testing.assert_allclose(then[:2], place[:2], atol=1e-6)
     assert float(then[2]) == pytest.approx(0.0, abs=1e-6), "it is still set down"
+    just_before, just_after = (
+        quick_step.over_ground(stage(), one, jnp.asarray(0.8001 * T)) for one in (state, there)
+    )
+    np.testing.assert_allclose(just_after, just_before, atol=1e-4)
     np.testing.assert_allclose(after(0.9, touch=there.touch, end=there.end).end, there.end, atol=0)
 
 

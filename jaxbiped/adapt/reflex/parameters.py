@@ -185,7 +185,7 @@ class PayloadReflex(Stage):
             1.0,
             text="How far a reflex of two speeds takes the swing foot forward while it sets it down.",
         ),
-        0.2,
+        0.25,
         tune=Tune(0.0, 0.4),
     )
     longest_step: Scalar = number(

@@ -30,6 +30,11 @@ def distance(stage: PlannedReflex, now: Scalar, aloft: Bool[Array, ""]) -> Scala
     return jnp.where(aloft, ahead, now)
 
 
+def lift(stage: PlannedReflex, way: Scalar, aloft: Bool[Array, ""]) -> Scalar:
+    """How high the swing foot is lifted on a way forward [m]: as high as in the plan, if it is as long as a stride."""
+    return jnp.where(aloft, stage.lift * jnp.clip(way / stage.stride, 0.0, 1.0), 0.0)
+
+
 def ends(
     stage: PlannedReflex, ahead: Scalar, swing: Int[Array, ""], middle: Scalar, aloft: Bool[Array, ""]
 ) -> Float[Array, "2"]:
@@ -56,9 +61,7 @@ def over_ground(stage: PlannedReflex, state: PayloadState, since: Scalar) -> Flo
     end = state.end[state.swing] - state.end[stance]
     moved = place + quintic_to_rest(since, p.reflex_time, velocity, acceleration, end - place)
     share = jnp.clip(since / p.reflex_time, 0.0, 1.0)
-    length = jnp.clip((end - place)[0] / stage.stride, 0.0, 1.0)
-    aloft = state.support == SINGLE_SUPPORT
-    lift = jnp.where(aloft, 0.5 * stage.lift * length * (1.0 - jnp.cos(2.0 * jnp.pi * share)), 0.0)
+    lift = 0.5 * state.lift * (1.0 - jnp.cos(2.0 * jnp.pi * share))
     stands = (since >= state.touch) & (jnp.arange(3) < 2)
     return jnp.where(stands, end, moved.at[2].add(lift))
 

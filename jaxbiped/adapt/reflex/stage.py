@@ -70,6 +70,7 @@ class PayloadStage(PlannedReflex):
             start_sole=self.stance[0],
             start=jnp.zeros((3, 2, 3), zero.dtype).at[0].set(self.stance[0]),
             end=self.stance[0],
+            lift=zero,
             touch=zero + jnp.inf,
             next_step=count,
             x_shift=zero,
