@@ -17,6 +17,7 @@ from jaxbiped.commands.choices import (
     LANDINGS,
     MODIFIED,
     OFF,
+    PAPER,
     REFLEXES,
     REPAIRED,
     gait_name,
