@@ -19,7 +19,9 @@ TIMES_HELP = (
     "When it is put on, in s on the gait's own clock: the thesis' time, which begins T_ini after the start, "
     "for the cosine gait; since the start of the walk for the polynomial one."
 )
-VARIANT_HELP = "Variants of the reflex: off, original, modified, repaired, two_speed, or files of tuned variants (.toml)."
+VARIANT_HELP = (
+    "Variants of the reflex: off, original, modified, repaired, two_speed, or files of tuned ones (.toml)."
+)
 
 
 @dataclass(frozen=True)
