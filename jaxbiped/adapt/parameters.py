@@ -25,6 +25,8 @@ class Tune:
     """The paper's own value of the parameter."""
     entries: Mapping[str, tuple[int, ...]] | None = None
     """Names of single entries and their places, if the parameter is a table."""
+    only_with: str = ""
+    """The switch without which the parameter does nothing; empty if there is none."""
 
 
 def number(

@@ -45,6 +45,8 @@ class Tunable:
     """Name of the parameter in its record, dotted where that holds another record."""
     index: tuple[int, ...] = ()
     """Place in the parameter, if that is a table."""
+    only_with: str = ""
+    """The switch of the stage without which the parameter does nothing; empty if there is none."""
 
     @property
     def stage(self) -> str:
@@ -60,9 +62,8 @@ def of_stage(stage: type[Stage]) -> list[Tunable]:
         assert isinstance(quantity, Quantity)
         text = quantity.text.rstrip(".") + (f" ({tune.note})" if tune.note else "")
         for entry, index in (tune.entries or {name: ()}).items():
-            found.append(
-                Tunable(f"{stage.name}.{entry}", tune.low, tune.high, quantity.unit, text, name, index)
-            )
+            where = (name, index, tune.only_with)
+            found.append(Tunable(f"{stage.name}.{entry}", tune.low, tune.high, quantity.unit, text, *where))
     return found
 
 
@@ -82,7 +83,7 @@ def find(names: Sequence[str], controller: Controller) -> list[Tunable]:
         ValueError: naming what was got and what is allowed.
     """
     tunables = known()
-    allowed = [name for name, t in tunables.items() if controller.stage(t.stage) is not None]
+    allowed = [name for name, tunable in tunables.items() if _matters(tunable, controller)]
     allowed += [f"gait.{field}" for field in gait_fields(controller.gait)]
     found: list[Tunable] = []
     for name in names:
@@ -96,6 +97,12 @@ def find(names: Sequence[str], controller: Controller) -> list[Tunable]:
     if len({t.name for t in found}) != len(found) or not found:
         raise ValueError(f"tunables: got {', '.join(names) or 'none'}, allowed: at least one, each once")
     return found
+
+
+def _matters(tunable: Tunable, controller: Controller) -> bool:
+    """Tell whether a controller has the stage of a tunable, and on what the tunable needs."""
+    stage = controller.stage(tunable.stage)
+    return stage is not None and (not tunable.only_with or getattr(stage.params, tunable.only_with))
 
 
 def values(controller: Controller, tunables: Sequence[Tunable]) -> Float[Array, " n"]:

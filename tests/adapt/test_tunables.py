@@ -1,5 +1,6 @@
 """What can be tuned: names, bounds, and a controller with other values."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -17,9 +18,8 @@ from jaxbiped.planner import GaitError, PolynomialGait, StartStop, violations
 def made():
     biped = robot.load("surena3")
     gait = PolynomialGait.preset(biped, 4)
-    return biped, Controller(
-        gait, Landing.repaired(), PayloadReflex.modified(biped, gait, threshold=60.0, zmp_balanced=-0.035)
-    )
+    given = {"threshold": 60.0, "zmp_balanced": -0.035, "two_speeds": True}
+    return biped, Controller(gait, Landing.repaired(), PayloadReflex.modified(biped, gait, **given))
 
 
 def moved(found, at):
@@ -34,7 +34,7 @@ def test_defaults_lie_within_their_bounds(made):
     assert [t.name for t in found] == list(tunables.known())
     for t, value in zip(found, np.asarray(tunables.values(controller, found)), strict=True):
         assert t.low <= value <= t.high, t.name
-        assert t.unit in ("m", "s", "m/s", "N", "")
+        assert t.unit in ("m", "s", "m/s", "m/s2", "N", "")
 
 
 def test_applied_values_are_those_of_the_controller_and_the_rest_stays(made):
@@ -94,6 +94,17 @@ def test_a_stage_that_is_not_there_cannot_be_tuned(made):
     _, controller = made
     with pytest.raises(ValueError, match=r"got 'payload', allowed: landing\.T_mod"):
         tunables.find(["payload"], Controller(controller.gait, Landing.repaired()))
+
+
+def test_what_only_matters_with_a_switch_is_tuned_with_it_only(made):
+    _, controller = made
+    quick = {f"payload.{name}" for name in ("quick_step", "longest_step", "body_acceleration", "behind")}
+    assert quick < {t.name for t in tunables.find(["payload"], controller)}
+    params = dataclasses.replace(controller.stage("payload").params, two_speeds=False)
+    literal = Controller(controller.gait, params)
+    assert not quick & {t.name for t in tunables.find(["payload"], literal)}
+    with pytest.raises(ValueError, match=r"got 'payload\.quick_step', allowed: "):
+        tunables.find(["payload.quick_step"], literal)
 
 
 def test_tables_of_a_file(made):

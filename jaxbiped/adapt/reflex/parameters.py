@@ -175,7 +175,7 @@ class PayloadReflex(Stage):
             "how long the body takes, within reflex_time and body_time.",
         ),
         1.6,
-        tune=Tune(0.5, 4.0),
+        tune=Tune(0.5, 4.0, only_with="two_speeds"),
     )
     quick_step: Scalar = number(
         "quick_step",
@@ -186,7 +186,7 @@ class PayloadReflex(Stage):
             text="How far a reflex of two speeds takes the swing foot forward while it sets it down.",
         ),
         0.25,
-        tune=Tune(0.0, 0.4),
+        tune=Tune(0.0, 0.4, only_with="two_speeds"),
     )
     longest_step: Scalar = number(
         "longest_step",
@@ -197,7 +197,7 @@ class PayloadReflex(Stage):
             text="How far ahead of the stance foot a reflex of two speeds sets the swing foot down at most.",
         ),
         0.3,
-        tune=Tune(0.05, 0.5),
+        tune=Tune(0.05, 0.5, only_with="two_speeds"),
     )
     behind: Scalar = number(
         "behind",
@@ -209,7 +209,7 @@ class PayloadReflex(Stage):
             "the plan has it in double support.",
         ),
         0.03,
-        tune=Tune(-0.05, 0.1),
+        tune=Tune(-0.05, 0.1, only_with="two_speeds"),
     )
     settling_time: Scalar = number(
         "settling_time",
