@@ -648,7 +648,7 @@ def test_literal_variants_have_one_reflex_only(x64):
     for variant in VARIANTS:
         params = getattr(PayloadReflex, variant)(biped, gait)
         rows = run([params], [gait], histories, compiled=_run_once)
-        assert rows["reflexes"][0, -1] == (1 if variant in GROUPS["literal"] else 2)
+        assert rows["reflexes"][0, -1] == (2 if variant == "repaired" else 1)
 
 
 def test_second_payload_counts_from_the_start(x64):

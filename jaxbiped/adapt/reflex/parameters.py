@@ -319,9 +319,12 @@ class PayloadReflex(Stage):
 
     @classmethod
     def two_speed(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":  # noqa: ANN401
-        """Parameters with every repair and a reflex of two speeds. Raises the errors of `original`."""
+        """Parameters with every repair and a reflex of two speeds, once in a walk. Raises the errors of `original`.
+
+        In C MuJoCo the steps of a loaded robot set off further reflexes, in which it falls.
+        """
         require_names(cls, parameters)
-        ours = {"two_speeds": True, "reflex_time": 0.25, "body_time": 0.9}
+        ours = {"two_speeds": True, "starts_again": False, "reflex_time": 0.25, "body_time": 0.9}
         if "zmp_balanced" not in parameters:
             ours["zmp_balanced"] = standing_zmp(robot, gait) - LEAN
         return cls.repaired(robot, gait, **{**ours, **parameters})
