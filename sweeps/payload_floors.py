@@ -35,6 +35,8 @@ STEPS = 7
 MEANS = (pl.col("peak_pitch_deg"), pl.col("peak_roll_deg"))
 MAPS = {"success": None, "peak_pitch": "peak_pitch_deg", "peak_roll": "peak_roll_deg"}
 DRAWN_FLOORS = (0.12, 0.8)
+BANDS = ((0.0, 10.0), (10.0, 15.0), (15.0, 20.0), (20.0, 25.0))
+"""Of loads [kg]."""
 
 
 def others(n: int, seed: int, **more: Any) -> pl.DataFrame:
@@ -99,6 +101,9 @@ def compare_with_c(table: pl.DataFrame, one: jb.batch.Experiment, n: int, out: P
         f"({equal.mean():.1%}, {low:.1%} to {high:.1%}); {ours['success'].sum()} succeed here, "
         f"{theirs['success'].sum()} there"
     )
+    for low, high in BANDS:
+        band = ours["load_kg"].is_between(low, high, closed="right").to_numpy()
+        print(f"  {low:g} to {high:g} kg: {equal[band].sum()} of {band.sum()}")
     for i in (~equal).nonzero()[0]:
         load, clock, friction = (cells[name][int(i)] for name in ("load_kg", "load_time_s", "friction"))
         here, there = ours["status"][int(i)], theirs["status"][int(i)]
@@ -155,8 +160,8 @@ def main() -> None:
         arguments.n, 4321, load_kg=Uniform(2.0, 25.0), load_time_s=Uniform(start + 0.1, start + 4.8)
     )
     table = tried("other robots and floors, at times between the grid's", between, "others")
-    for low, high in ((2.0, 10.0), (10.0, 15.0), (15.0, 20.0), (20.0, 25.0)):
-        walks = table.filter(pl.col("load_kg").is_between(low, high))
+    for low, high in BANDS:
+        walks = table.filter(pl.col("load_kg").is_between(low, high, closed="right"))
         counts = walks.group_by("variant", maintain_order=True).agg(pl.col("success").sum(), n=pl.len())
         print(
             f"  {low:g} to {high:g} kg: "
