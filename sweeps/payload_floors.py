@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 import tuned
 
@@ -71,6 +72,19 @@ def by_floor(table: pl.DataFrame, variants: Iterable[str] = VARIANTS) -> str:
     return "\n".join(lines)
 
 
+def felt(table: pl.DataFrame) -> str:
+    """By load, how many walks of the best variant start a reflex, and how long after the load."""
+    lines = []
+    for load, walks in table.filter(pl.col("variant") == BEST).group_by("load_kg", maintain_order=True):
+        after = (walks["trigger_s"] - walks["load_time_s"]).drop_nulls().to_numpy()
+        least, middle, most = np.quantile(after, (0.0, 0.5, 1.0))
+        lines.append(
+            f"  {load[0]:g} kg: {len(after)} of {walks.height} start a reflex, "
+            f"{least:.3f} to {most:.3f} s after the load, median {middle:.3f}"
+        )
+    return "\n".join(lines)
+
+
 def without(robot: Any, gait: Any) -> dict[str, Controller]:
     """The best variant without one of its parts each, and the others with its lean."""
     less: dict[str, dict[str, Any]] = {
@@ -107,7 +121,11 @@ def compare_with_c(table: pl.DataFrame, one: jb.batch.Experiment, n: int, out: P
     for i in (~equal).nonzero()[0]:
         load, clock, friction = (cells[name][int(i)] for name in ("load_kg", "load_time_s", "friction"))
         here, there = ours["status"][int(i)], theirs["status"][int(i)]
-        print(f"  {load:g} kg at {clock:g} s, friction {friction:g}: {here} here, {there} there")
+        since = theirs["end_time_s"][int(i)] - (theirs["trigger_s"][int(i)] or np.nan)
+        print(
+            f"  {load:g} kg at {clock:.1f} s, friction {friction:g}: {here} here, {there} there, "
+            f"{since:.1f} s after the last of {theirs['reflexes'][int(i)]} reflexes"
+        )
 
 
 def main() -> None:
@@ -137,7 +155,8 @@ def main() -> None:
     table = tried("the thesis' grid and heavier loads, on every floor", grid, "grid")
     everywhere = jb.batch.Experiment(robot, variants, grid, options)
     print(by_floor(table))
-    for floor in DRAWN_FLOORS:
+    print(felt(table))
+    for floor in set(DRAWN_FLOORS) & set(arguments.floors):
         for name, value in MAPS.items():
             figure = grids.heat_map(
                 table.filter(pl.col("friction") == floor),

@@ -11,7 +11,8 @@ import pytest
 from jaxbiped import robot
 from jaxbiped.adapt import PayloadReflex, PayloadStage
 from jaxbiped.adapt.reflex import quick_step
-from jaxbiped.adapt.reflex.planned import REFLEX
+from jaxbiped.adapt.reflex.modes import mode_ends
+from jaxbiped.adapt.reflex.planned import HOLD, RECOVER, REFLEX
 from jaxbiped.planner import DOUBLE_SUPPORT, SINGLE_SUPPORT, CosineGait
 from jaxbiped.robot import LEFT, RIGHT
 
@@ -74,7 +75,7 @@ def test_the_swing_foot_goes_over_the_ground_whatever_the_body_does():
     paths = []
     for way, velocity in (((0.1, -0.05), (0.0, 0.0)), ((-0.02, 0.1), (-0.2, 0.1))):
         state = reflex(way, velocity)
-        soles = state.start[0] + jax.vmap(quick_step.soles, (None, None, 0))(stage(), state, since)
+        soles = jax.vmap(quick_step.soles, (None, None, 0))(stage(), state, since)
         paths.append(np.asarray(soles[:, LEFT] - soles[:, RIGHT]))
         np.testing.assert_allclose(soles[0], state.start[0], atol=1e-6)
         np.testing.assert_allclose(soles[-1, LEFT] - soles[-1, RIGHT], [0.15, 0.22, 0.0], atol=1e-6)
@@ -152,6 +153,11 @@ def test_derivatives_are_finite_where_the_body_is_already_in_the_middle():
 
 @pytest.mark.parametrize(("given", "expected"), [(None, 2.0), (0.5, 0.5)])
 def test_standing_still_after_the_step_is_half_of_settling_unless_given(given, expected):
+    """In the machine, and in the longest delay that a walk is given time for."""
     biped = robot.load("elkahlout")
-    params = PayloadReflex.two_speed(biped, CosineGait.preset(biped, 3), hold_time=given, **NUMBERS)
-    assert float(params.hold) == expected
+    gait = CosineGait.preset(biped, 3)
+    planned = PayloadStage.plan(PayloadReflex.two_speed(biped, gait, hold_time=given, **NUMBERS), gait)
+    assert float(planned.params.hold) == expected
+    ends = mode_ends(planned, reflex(), gait.timing)
+    assert float(ends[HOLD] - ends[RECOVER]) == pytest.approx(expected)
+    assert planned.longest_delay(gait, 1) - stage().longest_delay(gait, 1) == pytest.approx(expected - 2.0)

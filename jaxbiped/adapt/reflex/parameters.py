@@ -291,7 +291,8 @@ class PayloadReflex(Stage):
     @classmethod
     def named(cls, variant: str, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
         """Parameters of one of `variants`; raises its errors."""
-        return getattr(cls, variant)(robot, gait, **parameters)
+        make = {name: getattr(cls, name) for name in cls.variants}
+        return make[variant](robot, gait, **parameters)
 
     @classmethod
     def original(cls, robot: RobotParams, gait: Gait, **parameters: object) -> "PayloadReflex":
@@ -319,9 +320,9 @@ class PayloadReflex(Stage):
 
     @classmethod
     def two_speed(cls, robot: RobotParams, gait: Gait, **parameters: Any) -> "PayloadReflex":  # noqa: ANN401
-        """Parameters with every repair and a reflex of two speeds, once in a walk. Raises the errors of `original`.
+        """Parameters with every repair and one reflex of two speeds; raises the errors of `original`.
 
-        In C MuJoCo the steps of a loaded robot set off further reflexes, in which it falls.
+        One in a walk: in C MuJoCo the steps of a loaded robot set off further ones, in which it falls.
         """
         require_names(cls, parameters)
         ours = {"two_speeds": True, "starts_again": False, "reflex_time": 0.25, "body_time": 0.9}
@@ -331,7 +332,7 @@ class PayloadReflex(Stage):
 
     @property
     def hold(self) -> Scalar:
-        """How long the robot stands still after the recovery step [s]."""
+        """Return how long the robot stands still after the recovery step [s]."""
         return 0.5 * self.settling_time if self.hold_time is None else self.hold_time
 
     @classmethod

@@ -32,17 +32,16 @@ def reflex_pose(
     stage: PlannedReflex, state: PayloadState, since: Scalar, time: Scalar
 ) -> Float[Array, "2 3"]:
     """Soles in the body frame up to the end of SHIFT (Eqs. 3.11-3.17 and 3.21)."""
-    p, way = stage.params, state.end - state.start[0]
+    p, start, way = stage.params, state.start[0], state.end - state.start[0]
     if p.two_speeds:
-        moved = quick_step.soles(stage, state, since)
+        soles = quick_step.soles(stage, state, since)
     elif p.smooth_reflex or p.smooth_ramp:
         T = jnp.stack([p.reflex_time, body_time(stage, state), p.reflex_time])
-        moved = quintic_to_rest(since, T, state.start[1], state.start[2], way)
+        soles = start + quintic_to_rest(since, T, state.start[1], state.start[2], way)
     else:
         fraction = ramp(state, state.trigger_time, p.reflex_time, time)
-        moved = motion_before(state, time) + fraction * way
-    shift = applied_shift(stage, state, time) - state.x_shift
-    return (state.start[0] + moved).at[:, 0].add(shift)
+        soles = start + (motion_before(state, time) + fraction * way)
+    return soles.at[:, 0].add(applied_shift(stage, state, time) - state.x_shift)
 
 
 def motion_before(state: PayloadState, time: Scalar) -> Float[Array, "2 3"]:

@@ -24,14 +24,14 @@ _TOUCH = 40.0
 
 
 def distance(stage: PlannedReflex, now: Scalar, aloft: Bool[Array, ""]) -> Scalar:
-    """How far the swing foot is to be ahead of the stance foot [m], from how far it is now."""
+    """Return how far the swing foot is to be ahead of the stance foot [m], from how far it is now."""
     p = stage.params
     ahead = jnp.minimum(now + p.quick_step, jnp.maximum(p.longest_step, now))
     return jnp.where(aloft, ahead, now)
 
 
 def lift(stage: PlannedReflex, way: Scalar, aloft: Bool[Array, ""]) -> Scalar:
-    """How high the swing foot is lifted on a way forward [m]: as high as in the plan, if it is as long as a stride."""
+    """Return how high the swing foot is lifted on a way forward [m]: as in the plan, if that is as long as a stride."""
     return jnp.where(aloft, stage.lift * jnp.clip(way / stage.stride, 0.0, 1.0), 0.0)
 
 
@@ -44,14 +44,12 @@ def ends(
 
 
 def soles(stage: PlannedReflex, state: PayloadState, since: Scalar) -> Float[Array, "2 3"]:
-    """Ways of the soles in the body frame, so long after the reflex began [m]."""
-    stance, way = 1 - state.swing, state.end - state.start[0]
-    _, velocity, acceleration = state.start[:, stance]
-    under_body = quintic_to_rest(since, body_times(stage, state), velocity, acceleration, way[stance])
-    moved = (
-        under_body + over_ground(stage, state, since) - (state.start[0, state.swing] - state.start[0, stance])
-    )
-    return jnp.stack([under_body, under_body]).at[state.swing].set(moved)
+    """Soles in the body frame, so long after the reflex began [m]."""
+    stance = 1 - state.swing
+    place, velocity, acceleration = state.start[:, stance]
+    way = state.end[stance] - place
+    place = place + quintic_to_rest(since, body_times(stage, state), velocity, acceleration, way)
+    return jnp.stack([place, place]).at[state.swing].add(over_ground(stage, state, since))
 
 
 def over_ground(stage: PlannedReflex, state: PayloadState, since: Scalar) -> Float[Array, "3"]:
