@@ -443,7 +443,7 @@ def test_positions_do_not_jump(group, kind, first_swing):
     assert np.all(np.abs(plan_time) <= DT * fastest + 1e-9)
 
 
-@for_units("repaired")
+@for_units("repaired", "two_speed")
 def test_repaired_velocities_do_not_jump(group, kind, first_swing):
     """Nowhere but at the ends of the shift of x_ref, a ramp: there in two ticks, the first of which gets the mean."""
     rows = motions(group, kind, first_swing)

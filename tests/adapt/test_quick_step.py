@@ -13,7 +13,7 @@ from jaxbiped.adapt import PayloadReflex, PayloadStage
 from jaxbiped.adapt.reflex import quick_step
 from jaxbiped.adapt.reflex.modes import mode_ends
 from jaxbiped.adapt.reflex.planned import HOLD, RECOVER, REFLEX
-from jaxbiped.planner import DOUBLE_SUPPORT, SINGLE_SUPPORT, CosineGait
+from jaxbiped.planner import SINGLE_SUPPORT, CosineGait
 from jaxbiped.robot import LEFT, RIGHT
 
 NUMBERS = {"threshold": 50.0, "zmp_balanced": -0.04, "x_stand": 0.0}
@@ -44,8 +44,6 @@ def reflex(way=(0.1, -0.05), velocity=(0.0, 0.0), support=SINGLE_SUPPORT):
         swing=jnp.asarray(LEFT),
         start=jnp.asarray(start, jnp.float32),
         end=jnp.asarray(end, jnp.float32),
-        lift=jnp.asarray(0.03, jnp.float32),
-        touch=jnp.asarray(np.inf, jnp.float32),
         trigger_time=jnp.asarray(1.0, jnp.float32),
     )
 
@@ -84,33 +82,6 @@ def test_the_swing_foot_goes_over_the_ground_whatever_the_body_does():
     assert path[:, 2].max() > 0.02, "it was there at the start, and is lifted on its way"
     down = float(stage().params.reflex_time)
     np.testing.assert_allclose(path[np.asarray(since) >= down], path[-1:].repeat(15 + 1, 0), atol=1e-6)
-
-
-def test_a_foot_that_touches_on_its_way_down_stays_there():
-    """In the first half of its way the ground is what it has just left."""
-    state, force = reflex(), np.zeros((2, 4))
-    force[LEFT, 0] = 50.0
-    T = float(stage().params.reflex_time)
-
-    def after(share, loads=force, **more):
-        now = replace(state, time=jnp.asarray(1.0 + share * T, jnp.float32), **more)
-        return quick_step.touched(stage(), now, jnp.asarray(loads, jnp.float32))
-
-    for share, loads in ((0.4, force), (0.8, 0.1 * force), (0.8, force[::-1]), (1.01, force)):
-        assert not np.isfinite(after(share, loads).touch)
-    assert not np.isfinite(after(0.8, support=jnp.asarray(DOUBLE_SUPPORT)).touch)
-    there = after(0.8)
-    assert float(there.touch) == pytest.approx(0.8 * T, rel=1e-5)
-    place = quick_step.over_ground(stage(), state, jnp.asarray(0.8 * T))
-    for share in (0.82, 0.9, 1.5):
-        then = quick_step.over_ground(stage(), there, jnp.asarray(share * T))
-        np.testing.assert_allclose(then[:2], place[:2], atol=1e-6)
-    assert float(then[2]) == pytest.approx(0.0, abs=1e-6), "it is still set down"
-    just_before, just_after = (
-        quick_step.over_ground(stage(), one, jnp.asarray(0.8001 * T)) for one in (state, there)
-    )
-    np.testing.assert_allclose(just_after, just_before, atol=1e-4)
-    np.testing.assert_allclose(after(0.9, touch=there.touch, end=there.end).end, there.end, atol=0)
 
 
 @pytest.mark.parametrize(

@@ -48,10 +48,6 @@ class PayloadState(eqx.Module):
     """Position, velocity, acceleration of the soles in the body frame at the start of the last reflex [m]."""
     end: Float[Array, "2 3"]
     """Soles in the body frame at the end of the reflex [m]."""
-    lift: Scalar
-    """How high the swing foot is lifted on its way in a reflex of two speeds [m]."""
-    touch: Scalar
-    """Time from the start of a reflex of two speeds to the touch of its swing foot [s]; infinite before it."""
     next_step: Int[Array, ""]
     """Number of the plan's step with which the walk goes on; n_steps if there is none left."""
     x_shift: Scalar

@@ -6,21 +6,17 @@ the toes. So here the swing foot goes ahead of the stance foot while it is set d
 body moves to the middle of the feet as slowly as it may.
 """
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbiped.adapt.blends import quintic_to_rest
-from jaxbiped.adapt.reflex.planned import REFLEX, PayloadState, PlannedReflex
+from jaxbiped.adapt.reflex.planned import PayloadState, PlannedReflex
 from jaxbiped.planner import SINGLE_SUPPORT
 
 Scalar = Float[Array, ""]
 _OF_WAY, _OF_SPEED = 10.0 / 3.0**0.5, 3.94
 """Greatest acceleration of a quintic from rest over a way, in ways over the time squared; of one that only stops, in
 speeds over the time."""
-_TOUCH = 40.0
-"""Vertical force on the swing foot that tells that it stands [N]."""
 
 
 def distance(stage: PlannedReflex, now: Scalar, aloft: Bool[Array, ""]) -> Scalar:
@@ -28,11 +24,6 @@ def distance(stage: PlannedReflex, now: Scalar, aloft: Bool[Array, ""]) -> Scala
     p = stage.params
     ahead = jnp.minimum(now + p.quick_step, jnp.maximum(p.longest_step, now))
     return jnp.where(aloft, ahead, now)
-
-
-def lift(stage: PlannedReflex, way: Scalar, aloft: Bool[Array, ""]) -> Scalar:
-    """Return how high the swing foot is lifted on a way forward [m]: as in the plan, if that is as long as a stride."""
-    return jnp.where(aloft, stage.lift * jnp.clip(way / stage.stride, 0.0, 1.0), 0.0)
 
 
 def ends(
@@ -53,28 +44,15 @@ def soles(stage: PlannedReflex, state: PayloadState, since: Scalar) -> Float[Arr
 
 
 def over_ground(stage: PlannedReflex, state: PayloadState, since: Scalar) -> Float[Array, "3"]:
-    """Place of the swing foot relative to the stance foot [m]: lifted on its way, which a touch ends."""
+    """Place of the swing foot relative to the stance foot [m]; on a way of a stride it is lifted as in the plan."""
     p, stance = stage.params, 1 - state.swing
     place, velocity, acceleration = state.start[:, state.swing] - state.start[:, stance]
-    end = state.end[state.swing] - state.end[stance]
-    moved = place + quintic_to_rest(since, p.reflex_time, velocity, acceleration, end - place)
-    share = jnp.clip(since / p.reflex_time, 0.0, 1.0)
-    lift = 0.5 * state.lift * (1.0 - jnp.cos(2.0 * jnp.pi * share))
-    stands = (since >= state.touch) & (jnp.arange(3) < 2)
-    return jnp.where(stands, end, moved.at[2].add(lift))
-
-
-def touched(stage: PlannedReflex, state: PayloadState, corner_force: Float[Array, "2 4"]) -> PayloadState:
-    """Keep a swing foot where it touches in the second half of its way; on a floor with grip it would trip."""
-    since = state.time - state.trigger_time
-    way_down = (since > 0.5 * stage.params.reflex_time) & (
-        since < jnp.minimum(stage.params.reflex_time, state.touch)
-    )
-    aloft = (state.mode == REFLEX) & (state.support == SINGLE_SUPPORT) & way_down
-    touch = aloft & (corner_force[state.swing].sum() > _TOUCH)
-    here = state.end[1 - state.swing] + over_ground(stage, state, since)
-    end = state.end.at[state.swing, :2].set(here[:2])
-    return replace(state, end=jnp.where(touch, end, state.end), touch=jnp.where(touch, since, state.touch))
+    way = state.end[state.swing] - state.end[stance] - place
+    place = place + quintic_to_rest(since, p.reflex_time, velocity, acceleration, way)
+    r = jnp.clip(since / p.reflex_time, 0.0, 1.0)
+    bump = (4.0 * r * (1.0 - r)) ** 3  # 0 at both ends with its velocity and acceleration, 1 half-way
+    lift = stage.lift * jnp.clip(way[0] / stage.stride, 0.0, 1.0) * bump
+    return place.at[2].add(jnp.where(state.support == SINGLE_SUPPORT, lift, 0.0))
 
 
 def body_times(stage: PlannedReflex, state: PayloadState) -> Float[Array, "3"]:

@@ -24,7 +24,6 @@ from jaxtyping import Array
 from jaxbiped.adapt.reflex.modes import advance
 from jaxbiped.adapt.reflex.parameters import PayloadReflex, resume_plan_times
 from jaxbiped.adapt.reflex.planned import WALK, PayloadState, PlannedReflex
-from jaxbiped.adapt.reflex.quick_step import touched
 from jaxbiped.adapt.reflex.targets import plan_targets, targets_at
 from jaxbiped.adapt.reflex.trigger import low_passed, trigger, watch
 from jaxbiped.adapt.sensed import Sensed
@@ -70,8 +69,6 @@ class PayloadStage(PlannedReflex):
             start_sole=self.stance[0],
             start=jnp.zeros((3, 2, 3), zero.dtype).at[0].set(self.stance[0]),
             end=self.stance[0],
-            lift=zero,
-            touch=zero + jnp.inf,
             next_step=count,
             x_shift=zero,
             x_shift_new=zero,
@@ -86,8 +83,6 @@ class PayloadStage(PlannedReflex):
         """One control tick: the plan, or what stands in its place; the targets so far are not used."""
         state, before = low_passed(self, state, sensed), state
         state = advance(self, state, before, gait.timing, sensed)
-        if self.params.two_speeds:
-            state = touched(self, state, sensed.corner_force)
         plan = plan_targets(self, state, gait, sensed.time)
         targets = targets_at(self, state, plan, gait.timing, sensed.time)
         triggered, trigger_time = watch(self, state, before, signals.disturbed)

@@ -92,11 +92,9 @@ def trigger(
     aloft = phase.support == SINGLE_SUPPORT
     applied = applied_shift(stage, state, time)
     row = jnp.where(aloft, phase.swing, 2)
-    x, lift = start[0, :, 0] + p.x_reflex[row], jnp.zeros_like(time)
+    x = start[0, :, 0] + p.x_reflex[row]
     if p.two_speeds:
-        now = x[phase.swing] - x[1 - phase.swing]
-        ahead = quick_step.distance(stage, now, aloft)
-        lift = quick_step.lift(stage, ahead - now, aloft)
+        ahead = quick_step.distance(stage, x[phase.swing] - x[1 - phase.swing], aloft)
         x = jnp.zeros_like(x).at[phase.swing].set(ahead)
     next_step = matching_step(upcoming_step(state, phase), foot_ahead(x), aloft, timing)
     if p.two_speeds:
@@ -112,8 +110,6 @@ def trigger(
         swing=phase.swing,
         start_sole=sole + back * velocity + 0.5 * back * back * acceleration,
         start=start,
-        lift=lift,
-        touch=jnp.full_like(time, jnp.inf),
         end=stage.stance[next_step].at[:, 0].set(x),
         next_step=next_step,
         x_shift=applied,
