@@ -13,7 +13,7 @@ from jaxbiped.adapt import PayloadReflex, PayloadStage
 from jaxbiped.adapt.reflex import quick_step
 from jaxbiped.adapt.reflex.modes import mode_ends
 from jaxbiped.adapt.reflex.planned import HOLD, RECOVER, REFLEX
-from jaxbiped.planner import SINGLE_SUPPORT, CosineGait
+from jaxbiped.planner import DOUBLE_SUPPORT, SINGLE_SUPPORT, CosineGait
 from jaxbiped.robot import LEFT, RIGHT
 
 NUMBERS = {"threshold": 50.0, "zmp_balanced": -0.04, "x_stand": 0.0}
@@ -56,6 +56,20 @@ def test_the_swing_foot_goes_ahead_but_not_too_far(now, aloft, expected):
     assert float(quick_step.distance(stage(), jnp.asarray(now), jnp.asarray(aloft))) == pytest.approx(
         expected
     )
+
+
+@pytest.mark.parametrize(
+    ("way", "support", "expected"),
+    [(0.2, SINGLE_SUPPORT, 0.03), (0.04, SINGLE_SUPPORT, 0.0075), (0.2, DOUBLE_SUPPORT, 0.0)],
+)
+def test_the_swing_foot_is_lifted_as_in_the_plan(way, support, expected):
+    """Half-way, above the quintic's own height; the plan lifts it by 3 cm on a stride of 16."""
+    state = reflex(support=support)
+    begun = state.start[0, LEFT] - state.start[0, RIGHT]
+    end = state.end.at[LEFT, 0].set(state.end[RIGHT, 0] + begun[0] + way)
+    state = replace(state, start=state.start.at[1:].set(0.0), end=end)
+    half_way = quick_step.over_ground(stage(), state, 0.5 * stage().params.reflex_time)
+    assert float(half_way[2] - 0.5 * begun[2]) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize(
