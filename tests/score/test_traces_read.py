@@ -15,6 +15,8 @@ from jaxbiped.planner import CosineGait, at
 N_STEPS = 4
 DT = 2e-3
 LOADED, WEIGHT, LOAD = 2.4, 784.8, 120.0
+HOLD = 2.5
+"""Standing still after the recovery step, not half of settling [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +105,7 @@ def test_nothing_is_read_after_a_fall(gait, planned):
 @pytest.fixture(scope="module")
 def reflexive(gait) -> tuple[sim.Sample, Any, PayloadReflex]:
     """The payload stage under a load felt from LOADED on, without a robot: its trace and its last state."""
-    params = PayloadReflex.modified(robot.load("elkahlout"), gait)
+    params = PayloadReflex.modified(robot.load("elkahlout"), gait, hold_time=HOLD)
     controller = Controller(gait, params)
 
     def tick(state, time):
@@ -129,7 +131,7 @@ def test_a_reflex_is_read_off_the_trace(reflexive):
     expected = found.triggered + np.cumsum(lengths)
     assert [found.reflex_end, found.settled, found.shifted] == pytest.approx(list(expected))
     assert found.resumed == pytest.approx(float(state.resume_time), abs=1e-4)
-    assert found.recovered == pytest.approx(float(state.resume_time) - 0.5 * lengths[1], abs=1e-4)
+    assert found.recovered == pytest.approx(float(state.resume_time) - HOLD, abs=1e-4)
     assert found.x_shift == pytest.approx(float(state.x_shift_new), abs=1e-4)
     assert found.x_shift is not None and found.x_shift > 0.01
 
